@@ -442,6 +442,64 @@ def test_the_force_of_a_joint_that_slides_is_its_torque_and_a_tool_s_is_none(tmp
     assert f"{text}; choose with --columns torque=..." in said(turning)
 
 
+@pytest.mark.parametrize(
+    ("unit", "size"), [("kN·m", 1e-3), ("kN m", 1e-3), ("kN.m", 1e-3), ("N·mm", 1e3), ("mN·m", 1e3), ("N m", 1.0)]
+)
+def test_a_newton_and_a_metre_are_one_unit_whatever_stands_between(tmp_path: Path, unit: str, size: float) -> None:
+    path = tmp_path / "run.csv"
+    names = ["time", *numbered("q"), *(f"tau{k} [{unit}]" for k in (1, 2, 3))]
+    table(names, TIME, Q, size * TAU).to_csv(path, index=False)
+    np.testing.assert_allclose(whole(import_logs([path], AXES), "torque"), TAU, rtol=1e-12)
+
+
+@pytest.mark.parametrize("unit", ["%", "daNm", "kgf·cm"])
+def test_a_unit_that_cannot_be_brought_to_si_is_said_and_its_column_left_out(tmp_path: Path, unit: str) -> None:
+    path = tmp_path / "run.csv"
+    foreign = [f"torque{k} [{unit}]" for k in (1, 2, 3)]
+    table(["time", *numbered("q", "tau"), *foreign], TIME, Q, TAU, 0.1 * TAU).to_csv(path, index=False)
+    imported = import_logs([path], AXES)
+    np.testing.assert_array_equal(whole(imported, "torque"), TAU)
+    assert f"column 'torque1 [{unit}]': left out, for it is in {unit}" in said(imported)
+    with pytest.raises(ValueError, match="which import does not bring to SI"):
+        import_logs([path], AXES, ReadingOptions(columns={"torque": tuple(foreign)}))
+
+
+@pytest.mark.parametrize("beside", ["ft_torque_", "tcp_pos_", "tool_torque_"])
+def test_columns_beside_that_count_from_zero_do_not_move_the_joints(tmp_path: Path, beside: str) -> None:
+    path = tmp_path / "run.csv"
+    names = ["time", *numbered("q", "tau"), *(f"{beside}{k}" for k in (0, 1, 2))]
+    table(names, TIME, Q, TAU, TAU + 5.0).to_csv(path, index=False)
+    imported = import_logs([path], AXES)
+    assert imported.recordings[0].joints == JOINTS
+    np.testing.assert_array_equal(whole(imported, "torque"), TAU)
+
+
+@pytest.mark.parametrize("names", ["joint_control_output_", "motor_load_", "torque_limit_", "external_torque_"])
+def test_what_a_controller_logs_beside_is_no_signal(tmp_path: Path, names: str) -> None:
+    path = tmp_path / "run.csv"
+    table(["time", *numbered("q", "tau", names)], TIME, Q, TAU, 0.1 * Q).to_csv(path, index=False)
+    imported = import_logs([path], AXES)
+    assert imported.recordings[0].link_position is None
+    np.testing.assert_array_equal(whole(imported, "torque"), TAU)
+
+
+def test_a_clock_that_ticks_less_often_than_rows_come_loses_none(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    table(["time", *numbered("q", "tau")], np.floor(TIME / 0.0156) * 0.0156, Q, TAU).to_csv(path, index=False)
+    imported = import_logs([path], AXES)
+    assert whole(imported, "position").shape == Q.shape and imported.recordings[0].sample_rate_hz == pytest.approx(
+        RATE, rel=2e-3
+    )
+    assert "times in ticks of 15.6 ms, of several rows each" in said(imported)
+
+
+def test_angles_beside_a_slide_in_millimetres_are_looked_at_for_degrees(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    values = np.column_stack([1e3 * Q[:, 0], np.rad2deg(Q[:, 1:])])
+    table(["time", "q1 [mm]", "q2", "q3", *numbered("tau")], TIME, values, TAU).to_csv(path, index=False)
+    np.testing.assert_allclose(whole(import_logs([path], SLIDING), "position"), Q, atol=1e-12)
+
+
 def test_a_current_turns_with_its_motor(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     gears = np.array([50.0, -60.0, 70.0])

@@ -157,6 +157,18 @@ def test_torques_by_ratios_fit_one_tree_as_well_as_torques_in_newton_metres(tmp_
     assert (errors[0] > 2.0 * errors[1]).sum() >= 2
 
 
+@pytest.mark.parametrize("gain", [0.75, 1.3])
+def test_a_gain_is_that_of_a_known_payload_s_torque_too(tmp_path: Path, gain: float) -> None:
+    stated = [gain * CONSTANTS[0], CONSTANTS[1]]
+    path = logged(tmp_path, payload=True, constants=str([float(c) for c in stated]))
+    campaign = load_campaign(path)
+    with Path(campaign.robot_source).open("a") as robot:
+        robot.write(f'\n[[effects]]\ntype = "torque_gain"\njoint = "{campaign.joints[0]}"\n')
+    (found,) = (p for p in rf.identify(path).parameters if "torque_gain" in p.name)
+    assert found.value is not None and found.std is not None and found.std < 0.02
+    assert abs(found.value - gain) < 4.0 * found.std
+
+
 def test_currents_of_which_nothing_tells_the_size_are_no_fault(tmp_path: Path) -> None:
     path = logged(tmp_path, payload=False)
     for file in tmp_path.glob("log_*.csv"):  # of motors with 80 N m/A at the joint
