@@ -16,6 +16,9 @@ from rx90b_flex.signals import Campaign, Recording, lowpass, motion
 from rx90b_flex.signals.filters import minimum_samples, noise_cutoff_hz
 
 MOVING = 0.03  # of a joint's fastest velocity: below it the sign of friction is not known
+# above which it does not change with it: friction rises over some speeds, and a fit that sees them puts it on the gain. What a gain
+# changes by between the two is what it may still be off
+SLIDING, NEARLY = 0.2, 0.1
 EXPLAINED = 0.5  # share of a sensor's variance that the motor and the motion have to explain
 EXCHANGED = 0.5  # of what is left with the joint's own motor: what another's motor has to come below
 COPY = 1e-6  # of the sensor: so little is left of two columns of one signal alone
@@ -156,13 +159,14 @@ def sensor_gain(recordings: Sequence[Recording], joint: str) -> tuple[float, flo
     """N m of a joint's torque sensor per unit of its motor's torque, and its standard deviation; None where the motion tells none."""
     place = recordings[0].joints.index(joint)
     runs = _filtered(recordings)
-    rows = _rows(runs, place, place)
-    if rows is None:
+    rows, slower = (_rows(runs, place, place, least) for least in (SLIDING, NEARLY))
+    if rows is None or slower is None:
         return None
     columns, sensor, spans = rows
     fit = LinearFit.of(columns, sensor)
     covariance = fit.coloured_covariance(spans, int(CORRELATION_S * runs[0].rate_hz))
-    return float(fit.theta[0]), float(np.sqrt(max(covariance[0, 0], 0.0)))
+    changed = fit.theta[0] - LinearFit.of(*slower[:2]).theta[0]
+    return float(fit.theta[0]), float(np.sqrt(max(covariance[0, 0], 0.0) + changed**2))
 
 
 def _fits(recordings: Sequence[Recording]) -> dict[str, dict[str, SensorFit]]:
@@ -214,15 +218,17 @@ def _filtered(recordings: Sequence[Recording]) -> list[_Filtered]:
     return out
 
 
-def _rows(runs: Sequence[_Filtered], motor: int, sensor: int) -> tuple[Array, Array, tuple[slice, ...]] | None:
-    """Columns (N, 5) and a sensor (N,) at the samples where a joint moves, and those of each recording.
+def _rows(
+    runs: Sequence[_Filtered], motor: int, sensor: int, least: float = MOVING
+) -> tuple[Array, Array, tuple[slice, ...]] | None:
+    """Columns (N, 5) and a sensor (N,) at the samples where a joint moves by this part of its speed, and those of each recording.
 
     None where the joint never moves or the sensor never changes.
     """
     columns, target, ends = [], [], [0]
     for r in runs:
         v = r.velocity[:, motor]
-        moving = np.abs(v) > MOVING * np.abs(v).max()
+        moving = np.abs(v) > least * np.abs(v).max()
         if not moving.any() or not np.ptp(r.sensor[:, sensor]) > 0.0:
             continue
         x = np.column_stack([r.torque[:, motor], r.acceleration[:, motor], v, np.sign(v), np.ones(len(v))])
