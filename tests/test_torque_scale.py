@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import rx90b_flex as rf
+from rx90b_flex.diagnose.output import write_result
 from rx90b_flex.identify.torque_scale import TorqueConstant, resolved
 from rx90b_flex.signals import Campaign, load_campaign
 
@@ -179,6 +180,10 @@ def test_currents_of_which_nothing_tells_the_size_are_no_fault(tmp_path: Path) -
     result = rf.close_loop(path)
     assert isinstance(result, rf.ClosedLoop) and result.verdict == "nothing_missing"
     assert sum("is not determined" in c for c in result.cautions) == 2
+    (tmp_path / "out").mkdir()
+    write_result(result, tmp_path / "out")
+    again = rf.replay_errors(tmp_path / "out" / "robot.toml", path)  # whose currents have no constants
+    assert again.relative_error == pytest.approx(result.after.validation.relative_error, rel=2e-3)
 
 
 def test_closing_the_loop_on_currents_goes_by_the_constants_that_it_finds(tmp_path: Path) -> None:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
+
 from rx90b_flex.diagnose.residual import Errors, ReplayedTorques, replayed_errors
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.segment import prepare
+from rx90b_flex.identify.torque_scale import scaled
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import Campaign, load_campaign
 from rx90b_flex.signals.recording import Role
@@ -22,7 +25,8 @@ def replay_errors(
     """Torque errors of a robot with the values that it has, nothing identified, on the recordings of one role.
 
     The same motion, differences and low-pass as in closing the loop: a robot that this has written gives the error ``after``
-    that it stated.
+    that it stated. Torque constants that the campaign leaves out are those with which the robot fits the recordings for
+    identification.
 
     Parameters
     ----------
@@ -40,8 +44,21 @@ def replay_errors(
     known = campaign if isinstance(campaign, Campaign) else load_campaign(Path(campaign))
     if not any(r.role == role for r in known.recordings):
         raise ValueError(f"{known.path}: no recording has role {role!r}")
-    both = replayed(loaded, known, role)
+    both = replayed(loaded, _with_constants(loaded, known), role)
     return replayed_errors(*zip(*both, strict=True))
+
+
+def _with_constants(robot: Robot, campaign: Campaign) -> Campaign:
+    """With the torques of currents whose constants are left out, by what the robot says of them."""
+    stated = campaign.torque_constants or ()
+    missing = [j for j, constant in zip(campaign.joints, stated, strict=False) if constant is None]
+    if not missing:
+        return campaign
+    pairs = replayed(robot, campaign, "identification")
+    current, said = (np.concatenate(x) for x in zip(*((r.torque, torque) for r, torque in pairs), strict=True))
+    factors = (current * said).sum(axis=0) / np.maximum((current**2).sum(axis=0), 1e-300)
+    told = dict(zip(campaign.joints, factors.tolist(), strict=True))
+    return scaled(campaign, {j: told[j] for j in missing})
 
 
 def replayed(robot: Robot, campaign: Campaign, role: Role) -> list[tuple[ReplayedTorques, Array]]:

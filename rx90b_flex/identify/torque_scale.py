@@ -80,14 +80,14 @@ def resolved(campaign: Campaign, robot: Robot) -> tuple[Campaign, tuple[TorqueCo
                 f"Torque constant of {joint}: {told[0]:.4g} ± {told[1]:.2g} {units[joint]}, told by its torque sensor."
             )
             found[joint] = TorqueConstant(joint, *told, "torque sensor", words)
-    known = _scaled(campaign, {j: c.value for j, c in found.items() if c.source == "torque sensor" and c.value})
+    known = scaled(campaign, {j: c.value for j, c in found.items() if c.source == "torque sensor" and c.value})
     scales = {j: c.value for j, c in found.items() if c.value is not None}
     missing = [j for j in campaign.joints if j not in found]
     if missing:
         for constant, scale in _from_model(known, robot, missing):
             found[constant.joint], scales[constant.joint] = constant, scale
     done = dataclasses.replace(
-        _scaled(known, {j: scales[j] for j in missing}), torque_constants=tuple(scales[j] for j in campaign.joints)
+        scaled(known, {j: scales[j] for j in missing}), torque_constants=tuple(scales[j] for j in campaign.joints)
     )
     return done, tuple(found[j] for j in campaign.joints)
 
@@ -101,7 +101,7 @@ def of_open_size(campaign: Campaign, constants: Sequence[TorqueConstant]) -> Cam
     return dataclasses.replace(campaign, torque_constants=tuple(x if j in told else None for j, x in stated))
 
 
-def _scaled(campaign: Campaign, factors: dict[str, float]) -> Campaign:
+def scaled(campaign: Campaign, factors: dict[str, float]) -> Campaign:
     """With the torques of some joints multiplied."""
     by = np.array([factors.get(j, 1.0) for j in campaign.joints])
     runs = tuple(dataclasses.replace(r, torque=r.torque * by) for r in campaign.recordings)
