@@ -14,6 +14,7 @@ import pytest
 import rx90b_flex as rf
 from rx90b_flex.diagnose.output import write_result
 from rx90b_flex.identify.torque_scale import TorqueConstant, resolved
+from rx90b_flex.identify.torque_sensors import wrong_sensors
 from rx90b_flex.signals import Campaign, load_campaign
 
 CONSTANTS = np.array([3.7, 0.9])
@@ -156,6 +157,15 @@ def test_torques_by_ratios_fit_one_tree_as_well_as_torques_in_newton_metres(tmp_
     off = np.array([4.0 * c.ratio_std / c.ratio if c.ratio and c.ratio_std else 0.0 for c in found])
     assert (errors[1] ** 2 <= (1.1 * errors[2]) ** 2 + off**2).all()
     assert (errors[0] > 2.0 * errors[1]).sum() >= 2
+
+
+def test_a_sensor_ahead_of_the_friction_is_the_motor_s_column(tmp_path: Path) -> None:
+    campaign = load_campaign(logged(tmp_path, payload=False, sensor=True, constants=str(CONSTANTS.tolist())))
+    assert wrong_sensors(campaign) == ()
+    runs = tuple(dataclasses.replace(r, torque=r.joint_torque, joint_torque=r.torque) for r in campaign.recordings)
+    found = wrong_sensors(dataclasses.replace(campaign, recordings=runs))
+    assert [(w.kind, w.joints) for w in found] == [("swapped_columns", (j,)) for j in campaign.joints]
+    assert all("are the columns of torque and joint_torque exchanged?" in w.message for w in found)
 
 
 @pytest.mark.parametrize("gain", [0.75, 1.3])

@@ -21,6 +21,7 @@ MOVING = 0.03  # of a joint's fastest velocity: below it the sign of friction is
 SLIDING, NEARLY = 0.2, 0.1
 EXPLAINED = 0.5  # share of a sensor's variance that the motor and the motion have to explain
 EXCHANGED = 0.5  # of what is left with the joint's own motor: what another's motor has to come below
+AHEAD = -0.05  # of a sensor's variation: friction that it shows ahead of its motor
 COPY = 1e-6  # of the sensor: so little is left of two columns of one signal alone
 ENOUGH = 20_000  # samples of one that tell whose a sensor is
 FEWEST = 64  # samples of a recording that are looked at
@@ -45,12 +46,15 @@ class SensorFit:
         N m of the sensor per unit of the motor's torque.
     left : float
         Root mean square of the residual over the standard deviation of the sensor.
+    drag : float
+        Friction that the motor overcomes before the sensor, at the mean speed, over the same.
     """
 
     joint: str
     motor: str
     gain: float
     left: float
+    drag: float
 
 
 @dataclass(frozen=True)
@@ -149,6 +153,12 @@ def _wrong(fit: SensorFit, *, unit_known: bool) -> WrongSensor | None:
     if fit.gain < 0.0:
         text = f"{name} has the sign of its motor's torque reversed: give its column as -column. It is not used."
         return WrongSensor("reversed_sign", (fit.joint,), -1.0, text)
+    if fit.drag < AHEAD:
+        text = (
+            f"{name} shows friction that its motor's torque lacks, although the gear lies between them: are the columns of torque "
+            "and joint_torque exchanged? It is not used."
+        )
+        return WrongSensor("swapped_columns", (fit.joint,), None, text)
     if unit_known and not MOTOR_GAIN[0] < fit.gain < MOTOR_GAIN[1]:
         text = f"{name} is {fit.gain:.3g} times its motor's torque: another unit. Bring it to N m. It is not used."
         return WrongSensor("unit", (fit.joint,), fit.gain, text)
@@ -181,7 +191,9 @@ def _fits(recordings: Sequence[Recording]) -> dict[str, dict[str, SensorFit]]:
             if rows is not None:
                 fit = LinearFit.of(*rows[:2])
                 left = float(np.sqrt(np.mean(fit.residual**2)) / np.std(rows[1]))
-                out.setdefault(sensor, {})[motor] = SensorFit(sensor, motor, float(fit.theta[0]), left)
+                drag = -(fit.theta[2] * np.abs(rows[0][:, 2]).mean() + fit.theta[3]) / np.std(rows[1])
+                found = SensorFit(sensor, motor, float(fit.theta[0]), left, float(drag))
+                out.setdefault(sensor, {})[motor] = found
     return out
 
 
