@@ -152,12 +152,10 @@ def _more_to_explain(result: Any) -> str:
     known = result.explainable
     if known is None or result.verdict in ("explained", "nothing_missing"):
         return ""
-    free, after = known.validation.told, result.after.told.validation
-    pairs = zip(result.joints, free.torque_rms, after.torque_rms, strict=True)
-    joints = [joint for joint, least, left in pairs if left > NEAR_FREE * least]
+    joints = known.less_of(result.joints, result.after.validation, 1.0 / NEAR_FREE)
     if not joints:
         return ""
-    in_all = f"{free.relative_error:.4f} in all"
+    in_all = f"{known.validation.told.relative_error:.4f} in all"
     return f"Left: a free form of the motion, which names nothing, leaves less of {', '.join(joints)} ({in_all})"
 
 

@@ -153,6 +153,7 @@ def check(
     Parameters
     ----------
     source : path or Campaign
+        Of a file whose torque constants are left out, those that its data and the robot tell are used.
     robot : Robot, name or path, optional
         In place of the one that the campaign names.
     progress : callable, optional

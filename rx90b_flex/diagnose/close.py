@@ -669,7 +669,7 @@ def _before_moves(predictions: Sequence[Prediction]) -> tuple[str, ...]:
 def _event_words(
     happened: Sequence[Events], joints: Sequence[str], known: Explainable | None, left: Errors
 ) -> list[str]:
-    follows = known.much_less(joints, left.told) if known else []
+    follows = known.less_of(joints, left.told) if known else []
     return [e.words(e.joint in follows) for e in happened]
 
 

@@ -71,10 +71,10 @@ class Explainable:
         """But for rows up to joints' first moves; its share is that of no model yet (`of`)."""
         return dataclasses.replace(self, validation=self.validation.told)
 
-    def much_less(self, joints: Sequence[str], after: Errors) -> list[str]:
-        """Joints of which the free forms leave much less than the final model does."""
+    def less_of(self, joints: Sequence[str], after: Errors, part: float = MUCH_LESS) -> list[str]:
+        """Joints of which the free forms leave less than this part of what the final model does; by default much less."""
         pairs = zip(joints, self.validation.told.torque_rms, after.told.torque_rms, strict=True)
-        return [joint for joint, free, left in pairs if free < MUCH_LESS * left]
+        return [joint for joint, free, left in pairs if free < part * left]
 
 
 @dataclass(frozen=True, eq=False)

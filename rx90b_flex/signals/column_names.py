@@ -32,11 +32,13 @@ def time_words(name: str) -> list[str]:
 
 
 def is_time(name: str) -> bool:
+    """Whether a name says time, with its unit or without, and nothing else."""
     words = time_words(name)
     return bool(words) and words[0] in _TIMES and all(w in _TIMES or w in TIME_UNITS for w in words)
 
 
 def find_words(part: Sequence[str], words: Sequence[str]) -> tuple[int, int] | None:
+    """Where some words stand among others, one behind the other: the first place and the one past the last; None: nowhere."""
     for start in range(len(words) - len(part) + 1):
         if list(words[start : start + len(part)]) == list(part):
             return start, start + len(part)
@@ -73,4 +75,5 @@ def signal_of(words: Sequence[str]) -> tuple[str | None, list[str]]:
 
 
 def unnumbered(name: str) -> tuple[str, ...]:
+    """What columns of several joints have in common: the words of a name without its numbers."""
     return tuple(w for w in words_of(name) if not w.isdigit())

@@ -347,14 +347,14 @@ class _Import:
             if column is not None and column.signal in REQUIRED and column.signal not in stated:
                 self._refuse_words(name, f"{column.signal} of {column.joint}")
         joints = self.options.joints or self.axes.joints
-        first = next(iter(stated), None)
+        first = next(iter(stated), "")
         for signal, names in stated.items():
             most = "" if self.options.joints else "at most "
             if len(names) > len(joints) or (self.options.joints and len(names) < len(joints)):
                 raise ValueError(
                     f"--columns {signal} lists {len(names)} columns; expected {most}{len(joints)}, one a joint"
                 )
-            if first and len(names) != len(stated[first]):
+            if len(names) != len(stated[first]):
                 raise ValueError(
                     f"--columns {signal} lists {len(names)} columns, {first} {len(stated[first])}; expected one each a joint"
                 )
