@@ -184,6 +184,22 @@ def exchanged(logs: Logs, signal: str, i: int, j: int) -> tuple[Logs, Expected]:
     return changed, Expected("swapped_columns", (logs.joints[i], logs.joints[j]))
 
 
+def exchanged_in_one(logs: Logs, signal: str, rng: np.random.Generator) -> tuple[Logs, Expected]:
+    k = some_joint(logs, rng, last=1)
+    order = np.arange(len(logs.joints))
+    order[[k, k + 1]] = k + 1, k
+    changed = replace(logs, **{signal: one(getattr(logs, signal), rng, lambda x: x[:, order])})
+    return changed, Expected("swapped_columns", (logs.joints[k], logs.joints[k + 1]))
+
+
+def plus(k: int, angle: float) -> Callable[[Array], Array]:
+    def change(x: Array) -> Array:
+        x[:, k] += angle
+        return x
+
+    return change
+
+
 def times(k: int | slice, factor: float) -> Callable[[Array], Array]:
     def change(x: Array) -> Array:
         x[:, k] *= factor
@@ -242,6 +258,28 @@ def position_reversed_in_one(logs: Logs, rng: np.random.Generator) -> tuple[Logs
 def torque_halved_in_one(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected]:
     k = carrying_joint(logs, rng)
     return replace(logs, torque=one(logs.torque, rng, times(k, 0.5))), Expected("torque_gain", (logs.joints[k],))
+
+
+@fault
+def torques_exchanged_in_one(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected]:
+    return exchanged_in_one(logs, "torque", rng)
+
+
+@fault
+def positions_exchanged_in_one(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected]:
+    return exchanged_in_one(logs, "position", rng)
+
+
+@fault
+def zero_in_one(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected]:
+    k = carrying_joint(logs, rng)
+    angle = rng.uniform(0.15, 0.6) * rng.choice([-1.0, 1.0])
+    return replace(logs, position=one(logs.position, rng, plus(k, angle))), Expected("kinematics", (logs.joints[k],))
+
+
+@fault
+def degrees_in_one(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected]:
+    return replace(logs, position=one(logs.position, rng, np.degrees)), Expected("unit", logs.joints)
 
 
 @fault

@@ -609,8 +609,7 @@ def test_torques_at_other_times_are_those_of_their_columns_rows_and_logs():
         torque_order=(2, 0, 1),
         torque_scale=(1.0, -2.0, 0.5),
         shift_s=(0.3, 0.0, -0.2),
-        recording_shift_s=(0.0, 0.4),
-    )
+    ).changed_in(1, {"shift_s": 0.4})
     lags = np.array([-1.0, 0.0, 0.6, 9.0])
     expected = np.empty((3, len(lags), 14))
     for j, (column, scale, shift) in enumerate(zip((2, 0, 1), (1.0, -2.0, 0.5), (3, 0, -2), strict=True)):

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rx90b_flex.diagnose.faults.carried import carried_motors
+from rx90b_flex.diagnose.faults.columns_in_one import exchanged_in_one, rates_in_one, units_in_one, zeros_in_one
 from rx90b_flex.diagnose.faults.gains import torque_gains
 from rx90b_flex.diagnose.faults.in_one import other_loads, reversed_in_one, scaled_in_one
 from rx90b_flex.diagnose.faults.kinematics import a_little_off, axes, lengths, mountings, zeros
@@ -24,11 +25,22 @@ from rx90b_flex.effects.motion import Array, Mask
 
 # in the order in which one is believed where several do equally well
 KINDS: tuple[Callable[[Look], Iterator[Hypothesis]], ...] = (
-    reversed_torques, swapped, other_units, shifted, reversed_positions, reversed_in_one, torque_gains, scaled_in_one, other_loads,
-    zeros, reversed_axes, carried_motors, gear_ratios, angle_scales, axes, lengths, sample_rates, mountings,
+    reversed_torques, swapped, other_units, shifted, reversed_positions, reversed_in_one, exchanged_in_one, units_in_one,
+    torque_gains, scaled_in_one, other_loads, zeros, zeros_in_one, reversed_axes, carried_motors, gear_ratios, angle_scales, axes,
+    lengths, sample_rates, rates_in_one, mountings,
 )  # fmt: skip
 # a joint's zero parallel to its neighbours' axes is taken up by free links, but not by those of the URDF
-ON_POSES = (reversed_positions, zeros, reversed_axes, carried_motors, gear_ratios, angle_scales, axes, mountings)
+ON_POSES = (
+    reversed_positions,
+    zeros,
+    zeros_in_one,
+    reversed_axes,
+    carried_motors,
+    gear_ratios,
+    angle_scales,
+    axes,
+    mountings,
+)
 BY_LINKS = (*ON_POSES, lengths, sample_rates)  # compared with these links, too
 # believed by them alone: other lengths are much like masses that are a little off
 BY_LINKS_ALONE = (*ON_POSES, sample_rates)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rx90b_flex.diagnose.faults.columns_in_one import name_of
 from rx90b_flex.diagnose.faults.look import Hypothesis, Look
 from rx90b_flex.diagnose.faults.rigid_fit import FRICTION, IMPOSSIBLE, PER_JOINT
 from rx90b_flex.diagnose.faults.sample import Reading
@@ -27,8 +28,8 @@ def reversed_in_one(look: Look) -> Iterator[Hypothesis]:
     for r, k, ratio in places:
         evident = IMPOSSIBLE if driven is not None and driven[r, k] else 0.0
         if ratio < 0 or evident:
-            yield _reversed(look, "torque_scale_in", r, k, evident)
-        yield _reversed(look, "scale_in", r, k, evident)
+            yield _reversed(look, "torque_scale", r, k, evident)
+        yield _reversed(look, "scale", r, k, evident)
 
 
 def scaled_in_one(look: Look) -> Iterator[Hypothesis]:
@@ -44,18 +45,17 @@ def scaled_in_one(look: Look) -> Iterator[Hypothesis]:
 
 def other_loads(look: Look) -> Iterator[Hypothesis]:
     """Another load on the flange in one recording."""
-    tracks = look.sample.tracks
-    if len(tracks) < 2 or any(look.reading.other_load):
+    if len(look.sample.tracks) < 2 or any(log.other_load for log in look.reading.logs):
         return
     friction = _of_friction(look)
     spread = look.measured().var(axis=0) + 1e-300
     warm = (friction.left / spread).sum(axis=1) < MOSTLY * (friction.left_now / spread).sum(axis=1)
     for r in np.flatnonzero(~warm).tolist():
         text = (
-            f"{_name(look, r)} was made with another load than the other recordings: state what each had on the flange, with "
+            f"{name_of(look, r)} was made with another load than the other recordings: state what each had on the flange, with "
             "`payload` in its [[recording]]."
         )
-        reading = look.reading.with_entries({"other_load": tuple(i == r for i in range(len(tracks)))})
+        reading = look.reading.changed_in(r, {"other_load": True})
         yield dataclasses.replace(Hypothesis.of("kinematics", None, (), text, reading), usable=True)
 
 
@@ -133,44 +133,29 @@ def _places(look: Look) -> Iterator[tuple[int, int, float]]:
 
 
 def _ratios(look: Look) -> Array:
-    """Each recording's torques over what the present reading predicts of them, and over the other recordings'; (recordings, joints).
-
-    Of a fit to all of them, which the wrong one bends: its sign and size beside the others' show all the same.
-    """
-    sample = look.sample
-    predicted, measured = look.predicted(), look.measured()
-    out = np.array(
-        [
-            (predicted[span] * measured[span]).sum(axis=0) / np.maximum((predicted[span] ** 2).sum(axis=0), 1e-300)
-            for span in sample.spans
-        ]
-    )
-    others = np.array([np.median(np.delete(out, r, axis=0), axis=0) for r in range(len(out))])
-    return np.where(np.abs(others) > 1e-9, out / np.where(np.abs(others) > 1e-9, others, 1.0), 1.0)
-
-
-def _name(look: Look, recording: int) -> str:
-    """Of a recording's file, and which it is of several parts of one."""
-    names = [t.name for t in look.sample.tracks]
-    name = names[recording]
-    return name if names.count(name) == 1 else f"{name} (recording {recording + 1})"
+    """Each recording's torques over what the fit to the others predicts of them, (recordings, joints)."""
+    predicted, measured = look.predicted_by_others, look.measured()
+    along = [
+        (predicted[s] * measured[s]).sum(axis=0) / ((predicted[s] ** 2).sum(axis=0) + 1e-300) for s in look.sample.spans
+    ]
+    return np.array(along)
 
 
 def _reversed(look: Look, name: str, recording: int, joint: int, evident: float) -> Hypothesis:
-    what, signal = ("torque", "torque") if name == "torque_scale_in" else ("position", "motor_position")
-    said, where = look.sample.joints[joint], _name(look, recording)
+    what, signal = ("torque", "torque") if name == "torque_scale" else ("position", "motor_position")
+    said, where = look.sample.joints[joint], name_of(look, recording)
     text = (
         f"The {what} of {said} has the wrong sign in {where}, and not in the other recordings: change it in that log."
     )
-    reading = look.reading.changed_in(name, recording, joint, -1.0)
+    reading = look.reading.scaled_in(recording, name, joint, -1.0)
     return dataclasses.replace(Hypothesis.of("reversed_sign", signal, (said,), text, reading), evident=evident)
 
 
 def _scaled(look: Look, recording: int, joint: int, factor: float) -> Hypothesis:
-    said, where = look.sample.joints[joint], _name(look, recording)
+    said, where = look.sample.joints[joint], name_of(look, recording)
 
     def reading(factor: float) -> Reading:
-        return look.reading.changed_in("torque_scale_in", recording, joint, 1.0 / factor)
+        return look.reading.scaled_in(recording, "torque_scale", joint, 1.0 / factor)
 
     text = f"The torque of {said} in {where} is <factor> times what it is in the other recordings: bring that log to their unit."
     return Hypothesis("torque_gain", "torque", (said,), text, reading, factor, (factor / WITHIN, factor * WITHIN))

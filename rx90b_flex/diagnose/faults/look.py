@@ -10,7 +10,16 @@ from functools import cached_property
 import numpy as np
 from scipy import optimize
 
-from rx90b_flex.diagnose.faults.rigid_fit import KNOWN, RIDGE, Products, RigidFit, columns_of, effects_of
+from rx90b_flex.diagnose.faults.rigid_fit import (
+    FLOOR,
+    KNOWN,
+    RIDGE,
+    Products,
+    RigidFit,
+    columns_of,
+    effects_of,
+    solution,
+)
 from rx90b_flex.diagnose.faults.sample import Reading, Sample
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot
@@ -151,10 +160,7 @@ class Look:
 
     def products(self, reading: Reading) -> Products:
         """Normal equations of a reading."""
-        # shifts and factors of one recording follow the joints, so that with one the order of the torques counts too
-        own = any(x != 1.0 for factors in reading.torque_scale_in for x in factors)
-        order = reading.torque_order if own or any(reading.shift_s) else None
-        key = (reading.motion_key, reading.shift_key, reading.torque_scale_in, order, reading.torque_mix)
+        key = (reading.motion_key, reading.torque_key)
         if key not in self._products:
             while len(self._products) >= KEPT:
                 del self._products[next(iter(self._products))]
@@ -173,6 +179,27 @@ class Look:
     def predicted(self) -> Array:
         """Torques that the fit of the present reading predicts, (R, joints), N m."""
         return np.asarray(self.columns(self.reading) @ self.fit().theta.mean(axis=0))
+
+    @cached_property
+    def predicted_by_others(self) -> Array:
+        """Torques of each recording that the fit to all others predicts, (R, joints), N m."""
+        return self._of_recordings(lambda all_of_them, own: all_of_them - own)
+
+    @cached_property
+    def predicted_by_own(self) -> Array:
+        """The same of a fit to itself."""
+        return self._of_recordings(lambda _, own: own)
+
+    def _of_recordings(self, equations: Callable[[Array, Array], Array]) -> Array:
+        """With weights of the present fit, and from the equations (p, p + 1) of all recordings and of one."""
+        x, y = self.columns(self.reading), self.measured()
+        root = 1.0 / np.sqrt((y.var(axis=0) + 1e-300) * (self.fit().error + FLOOR))
+        rows = np.concatenate([x, y[:, :, None]], axis=2) * root[:, None]
+        flat = [rows[span].reshape(-1, rows.shape[2]) for span in self.sample.spans]
+        own = np.array([a[:, :-1].T @ a for a in flat])
+        chosen = [equations(own.sum(axis=0), e) for e in own]
+        theta = [solution(e[:, :-1], e[:, -1], self.products(self.reading)) for e in chosen]
+        return np.concatenate([x[span] @ t for span, t in zip(self.sample.spans, theta, strict=True)])
 
     def fit_of_known_links(self, reading: Reading | None = None, near: RigidFit | None = None) -> RigidFit:
         """The same with the links as the URDF has them: only friction, drives and offsets are fitted."""

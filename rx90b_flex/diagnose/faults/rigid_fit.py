@@ -164,8 +164,8 @@ def columns_of(sample: Sample, reading: Reading) -> Array:
             np.zeros(links.shape[2]) if t.load is None else carried_parameters(robot, t.load) for t in sample.tracks
         ]
         more.append(np.einsum("rjp,rp->rj", links, sample.by_rows(stated))[:, :, None])
-    if any(reading.other_load):
-        more.append(links[:, :, -LINK:] * sample.by_rows(reading.other_load)[:, None, None])
+    if any(log.other_load for log in reading.logs):
+        more.append(links[:, :, -LINK:] * sample.in_logs(reading, "other_load")[:, None, None])
     if reading.carried:
         links, *more = (np.einsum("kj,rjp->rkp", reading.torques_to_motors, x) for x in (links, *more))
     return np.concatenate([links, own, *more], axis=2) * sample.left_seen(reading)[:, :, None]
@@ -307,13 +307,13 @@ def _solved(products: Products, cross: Array, weight: Array, held_out: bool) -> 
     right = np.tensordot(weight, cross, axes=(0, 1))
     whole = gram.sum(axis=0), right.sum(axis=0)
     if not held_out:
-        return np.tile(_held(*whole, products), (len(gram), 1))
+        return np.tile(solution(*whole, products), (len(gram), 1))
     others = zip(whole[0] - gram, whole[1] - right, strict=True)
-    return np.array([_held(*of_others, products) for of_others in others])
+    return np.array([solution(*of_others, products) for of_others in others])
 
 
-def _held(gram: Array, right: Array, products: Products) -> Array:
-    """Solution of normal equations, held by the ridge where they tell nothing, shape (p,)."""
+def solution(gram: Array, right: Array, products: Products) -> Array:
+    """Parameters (p,) of normal equations, held by the products' ridge where these tell nothing."""
     size = np.diag(gram)
     size = np.sqrt(np.where(size > 1e-12 * size.max(), size, size.max() + 1e-300))
     scaled = gram / np.outer(size, size)

@@ -30,13 +30,56 @@ WINDINGS = (1e-3, 3e-3, 1e-2)  # of a joint's travel, over which friction winds 
 BASICS = ("drive_inertia", "viscous_friction", "coulomb_friction", "torque_offset")  # in the order of their columns
 
 
+@dataclass(frozen=True)
+class OneLog:
+    """How the columns of one log are to be read before they are as those of the other logs.
+
+    Angle column k is ``scale[k] * column[order[k]] + offset[k]``, torque column k ``torque_scale[k] * column[torque_order[k]]``, each
+    of the log's, torques taken `shift_s` later.
+
+    Attributes
+    ----------
+    order, torque_order : tuple of int
+    scale, offset, torque_scale : tuple of float
+    shift_s, rate : float
+        `rate` is its true over its stated sample rate.
+    other_load : bool
+        Whether its last link is another body than the others'.
+    """
+
+    order: tuple[int, ...]
+    scale: tuple[float, ...]
+    offset: tuple[float, ...]
+    torque_order: tuple[int, ...]
+    torque_scale: tuple[float, ...]
+    shift_s: float = 0.0
+    rate: float = 1.0
+    other_load: bool = False
+
+    @staticmethod
+    def of(joints: int) -> OneLog:
+        """As the others."""
+        same, one = tuple(range(joints)), (1.0,) * joints
+        return OneLog(same, one, (0.0,) * joints, same, one)
+
+    @property
+    def motion_key(self) -> tuple[object, ...]:
+        """The same for logs of the same motion."""
+        return self.order, self.scale, self.offset, self.rate, self.other_load
+
+    @property
+    def torque_key(self) -> tuple[object, ...]:
+        """The same for logs of the same torques."""
+        return self.torque_order, self.torque_scale, self.shift_s
+
+
 @dataclass(frozen=True, eq=False)
 class Reading:
     """How a log's columns are read: which is whose, with which sign and scale, against which tree.
 
     The angle of joint j is ``scale[j] * column[order[j]] + offset[j]``, its torque ``torque_scale[j] *
-    column[torque_order[j]]``, taken ``shift_s[j] + recording_shift_s[r]`` later in log r than the angle. Velocities grow with
-    `rate`, accelerations with its square. In log r both are ``scale_in[r][j]`` and ``torque_scale_in[r][j]`` times that.
+    column[torque_order[j]]``, taken ``shift_s[j]`` later than the angle. Velocities grow with `rate`, accelerations with its square.
+    The columns are those of each log as `logs` has them.
 
     Attributes
     ----------
@@ -44,12 +87,8 @@ class Reading:
         Rigid, of the campaign's joints.
     order, torque_order : tuple of int
     scale, offset, torque_scale, shift_s : tuple of float
-    recording_shift_s : tuple of float
+    logs : tuple of OneLog
         One a recording.
-    scale_in, torque_scale_in : tuple of tuple of float
-        Of each recording, one a joint.
-    other_load : tuple of bool
-        Whether a recording's last link is another body than the others'.
     rate : float
         True over stated sample rate.
     gravity : tuple of 3 float
@@ -68,10 +107,7 @@ class Reading:
     torque_order: tuple[int, ...]
     torque_scale: tuple[float, ...]
     shift_s: tuple[float, ...]
-    recording_shift_s: tuple[float, ...]
-    scale_in: tuple[tuple[float, ...], ...]
-    torque_scale_in: tuple[tuple[float, ...], ...]
-    other_load: tuple[bool, ...]
+    logs: tuple[OneLog, ...]
     rate: float = 1.0
     gravity: tuple[float, float, float] = (0.0, 0.0, -1.0)
     carried: tuple[tuple[int, int, float, bool], ...] = ()
@@ -97,8 +133,7 @@ class Reading:
     def of(robot: Robot, joints: int, recordings: int) -> Reading:
         """As the campaign file states it."""
         same, one, zero = tuple(range(joints)), (1.0,) * joints, (0.0,) * joints
-        each = (one,) * recordings
-        return Reading(robot, same, one, zero, same, one, zero, (0.0,) * recordings, each, each, (False,) * recordings)
+        return Reading(robot, same, one, zero, same, one, zero, (OneLog.of(joints),) * recordings)
 
     @property
     def links(self) -> int:
@@ -106,15 +141,22 @@ class Reading:
         return 10 * len(self.robot.bodies)
 
     def changed(self, name: str, which: Collection[int], change: Callable[[float], float]) -> Reading:
-        """With some entries of `scale`, `offset`, `torque_scale`, `shift_s` or `recording_shift_s` changed."""
+        """With some entries of `scale`, `offset`, `torque_scale` or `shift_s` changed."""
         values = tuple(change(x) if k in which else x for k, x in enumerate(getattr(self, name)))
         return self.with_entries({name: values})
 
-    def changed_in(self, name: str, recording: int, joint: int, factor: float) -> Reading:
-        """With an entry of `scale_in` or `torque_scale_in` so many times what it is."""
-        values = [list(x) for x in getattr(self, name)]
-        values[recording][joint] *= factor
-        return self.with_entries({name: tuple(tuple(x) for x in values)})
+    def changed_in(self, recording: int, entries: Mapping[str, Any]) -> Reading:
+        """With some attributes of one log changed."""
+        logs = list(self.logs)
+        logs[recording] = dataclasses.replace(logs[recording], **entries)
+        return self.with_entries({"logs": tuple(logs)})
+
+    def scaled_in(self, recording: int, name: str, joint: int, factor: float) -> Reading:
+        """With one joint's `scale` or `torque_scale` so many times what it is in one log."""
+        order = self.order if name == "scale" else self.torque_order
+        values = list(getattr(self.logs[recording], name))
+        values[order[joint]] *= factor
+        return self.changed_in(recording, {name: tuple(values)})
 
     def with_entries(self, entries: Mapping[str, Any]) -> Reading:
         """With other values of some of the attributes."""
@@ -124,14 +166,16 @@ class Reading:
     def motion_key(self) -> tuple[object, ...]:
         """The same for readings of the same motion of the same tree."""
         return (
-            id(self.robot), self.order, self.scale, self.offset, self.rate, self.gravity, self.scale_in, self.other_load,
-            self.carried,
+            id(self.robot), self.order, self.scale, self.offset, self.rate, self.gravity, self.carried,
+            tuple(log.motion_key for log in self.logs),
         )  # fmt: skip
 
     @property
-    def shift_key(self) -> tuple[object, ...]:
-        """The same for readings of torques at the same times."""
-        return (self.shift_s, self.recording_shift_s)
+    def torque_key(self) -> tuple[object, ...]:
+        """The same for readings of the same torque columns at the same times."""
+        # shifts follow the joints, so that with one the order of the torques counts too
+        order = self.torque_order if any(self.shift_s) else None
+        return (self.shift_s, order, self.torque_mix, tuple(log.torque_key for log in self.logs))
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,18 +260,20 @@ class Sample:
         A column is taken at the shift of the joint that reads it.
         """
         columns, out, inside = np.arange(len(self.joints)), [], []
-        for (track, at), factor in zip(self._rows(reading, np.zeros(1)), _of_columns(reading), strict=True):
-            inside.append(((at >= 0) & (at < len(track.torque))).all(axis=(0, 1)))
-            out.append(factor * _torque(track, reading)[np.clip(at[:, 0].T, 0, len(track.torque) - 1), columns])
+        for torque, at in self._rows(reading, np.zeros(1)):
+            inside.append(((at >= 0) & (at < len(torque))).all(axis=(0, 1)))
+            out.append(torque[np.clip(at[:, 0].T, 0, len(torque) - 1), columns])
         return np.concatenate(out), np.concatenate(inside)
 
-    def _rows(self, reading: Reading, lags: Array) -> Iterator[tuple[Track, Indices]]:
-        """Samples of each log at which each torque column is taken, (L,) s later; (columns, L, r), beyond its ends too."""
+    def _rows(self, reading: Reading, lags: Array) -> Iterator[tuple[Array, Indices]]:
+        """Torques of each log as the reading has its columns, and the samples at which each is taken, (L,) s later; (columns, L, r),
+        beyond its ends too.
+        """
         shift = np.zeros(len(self.joints))
         shift[list(reading.torque_order)] = reading.shift_s
-        for track, more in zip(self.tracks, reading.recording_shift_s, strict=True):
-            late = np.round((shift[:, None] + lags + more) * track.rate_hz).astype(int)
-            yield track, track.rows + late[..., None]
+        for track, log in zip(self.tracks, reading.logs, strict=True):
+            late = np.round((shift[:, None] + lags + log.shift_s) * track.rate_hz).astype(int)
+            yield _torque(track, log, reading), track.rows + late[..., None]
 
     def torque_seen(self, reading: Reading) -> Array:
         """Torque of each joint as a reading has it, shape (R, joints), N m."""
@@ -236,10 +282,7 @@ class Sample:
     def torque_later(self, reading: Reading, lags: Array) -> Array:
         """The same at some times (L,), s, after those that the reading has, shape (joints, L, R), N m."""
         columns, order = np.arange(len(self.joints))[:, None, None], list(reading.torque_order)
-        out = [
-            factor[:, None, None] * _torque(t, reading)[np.clip(at, 0, len(t.torque) - 1), columns]
-            for (t, at), factor in zip(self._rows(reading, lags), _of_columns(reading), strict=True)
-        ]
+        out = [torque[np.clip(at, 0, len(torque) - 1), columns] for torque, at in self._rows(reading, lags)]
         return np.asarray(np.concatenate(out, axis=2)[order] * np.array(reading.torque_scale)[:, None, None])
 
     def thinned(self, factor: int) -> Sample:
@@ -265,25 +308,35 @@ class Sample:
 
         Of a motor that is carried by another joint, its own: `motion` has the joints'.
         """
-        order, scale = list(reading.order), self.scale_of(reading)
+        scale, rate = self.scale_of(reading), reading.rate * self.in_logs(reading, "rate")[:, None]
+        offset = self.in_logs(reading, "offset")[:, list(reading.order)]
         return (
-            self.q[:, order] * scale + np.array(reading.offset),
-            self.v[:, order] * scale * reading.rate,
-            self.a[:, order] * scale * reading.rate**2,
-            self.dry[:, order] * np.sign(scale),
+            self._column(self.q, reading) * scale + offset * reading.scale + np.array(reading.offset),
+            self._column(self.v, reading) * scale * rate,
+            self._column(self.a, reading) * scale * rate**2,
+            self._column(self.dry, reading) * np.sign(scale),
         )
 
     def wound_seen(self, reading: Reading) -> Array:
         """`wound` of each joint as a reading has it."""
-        return self.wound[:, list(reading.order)] * np.sign(self.scale_of(reading))[:, :, None]
+        return self._column(self.wound, reading) * np.sign(self.scale_of(reading))[:, :, None]
 
     def left_seen(self, reading: Reading) -> Mask:
         """`left` of each joint as a reading has it: the rows that count."""
-        return self.left[:, list(reading.order)]
+        return self._column(self.left, reading)
 
     def scale_of(self, reading: Reading) -> Array:
         """Factor of each angle, (R, joints)."""
-        return np.array(reading.scale) * self.by_rows(reading.scale_in)
+        return self.in_logs(reading, "scale")[:, list(reading.order)] * reading.scale
+
+    def _column(self, x: np.ndarray, reading: Reading) -> Any:
+        """What the log has for each joint in its angle's place, (R, joints, ...)."""
+        columns = self.in_logs(reading, "order").astype(int)[:, list(reading.order)]
+        return np.take_along_axis(x, columns.reshape(*columns.shape, *[1] * (x.ndim - 2)), axis=1)
+
+    def in_logs(self, reading: Reading, name: str) -> Array:
+        """An attribute of `OneLog` at each row of the log that it is of, (R, ...)."""
+        return self.by_rows([getattr(log, name) for log in reading.logs])
 
     def by_rows(self, of_recordings: Sequence[Any]) -> Array:
         """What holds for each recording, at each of its rows, (R, ...)."""
@@ -296,9 +349,10 @@ class Sample:
         return reading.robot.motion(*(x @ to_joints for x in self.seen(reading)[:3]))
 
 
-def _torque(track: Track, reading: Reading) -> Array:
+def _torque(track: Track, log: OneLog, reading: Reading) -> Array:
     """Torque columns as a reading counts them, (N, joints)."""
-    return track.torque if reading.torque_mix is None else track.torque @ np.array(reading.torque_mix).T
+    torque = track.torque[:, list(log.torque_order)] * log.torque_scale
+    return torque if reading.torque_mix is None else torque @ np.array(reading.torque_mix).T
 
 
 def _spans(tracks: Sequence[Track]) -> tuple[slice, ...]:
@@ -312,13 +366,6 @@ def _left(q: Array, spans: Sequence[slice]) -> Mask:
     for span in spans:
         left = np.maximum.accumulate(np.abs(q[span] - q[span][0]) > LEFT * reach, axis=0)
         out[span] = left | (left.mean(axis=0) < 1.0 - BEGINNING)
-    return out
-
-
-def _of_columns(reading: Reading) -> Array:
-    """Factor of each recording's torque columns, (recordings, joints)."""
-    out = np.array(reading.torque_scale_in)
-    out[:, list(reading.torque_order)] = np.array(reading.torque_scale_in)
     return out
 
 

@@ -29,7 +29,7 @@ def shifted(look: Look) -> Iterator[Hypothesis]:
     joints, tracks = len(look.sample.joints), len(look.sample.tracks)
     groups: list[tuple[str, tuple[int, ...]]] = [("shift_s", tuple(range(joints)))]
     groups += [("shift_s", (k,)) for k in range(joints)] if joints > 1 else []
-    groups += [("recording_shift_s", (r,)) for r in range(tracks)] if tracks > 1 else []
+    groups += [("log", (r,)) for r in range(tracks)] if tracks > 1 else []
     scores = _scores(look, lags, groups)
     for (name, chosen), row in zip(groups, scores, strict=True):
         lag = float(lags[int(np.argmin(row))])
@@ -80,6 +80,9 @@ def _of(look: Look, name: str, chosen: tuple[int, ...], lag: float, step: float)
     sample = look.sample
 
     def reading(seconds: float) -> Reading:
+        if name == "log":
+            r = chosen[0]
+            return look.reading.changed_in(r, {"shift_s": look.reading.logs[r].shift_s + seconds})
         return look.reading.changed(name, chosen, lambda x: x + seconds)
 
     joints = tuple(sample.joints[k] for k in chosen) if name == "shift_s" else sample.joints

@@ -1,0 +1,173 @@
+"""Columns that one recording has otherwise than all others: exchanged, counted from another zero, in another unit or rate."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from itertools import combinations
+
+import numpy as np
+
+from rx90b_flex.diagnose.faults.kinematics import ZEROS
+from rx90b_flex.diagnose.faults.look import Hypothesis, Look
+from rx90b_flex.diagnose.faults.rates import GRID, LEAST
+from rx90b_flex.diagnose.faults.rigid_fit import FLOOR
+from rx90b_flex.diagnose.faults.sample import Reading
+from rx90b_flex.diagnose.faults.swapped import WHAT
+from rx90b_flex.diagnose.faults.units import ANGLES
+from rx90b_flex.effects.motion import Array
+
+APART = 2.0  # summed log error that the fit to the others leaves a recording more than one to itself: it stands apart
+BETTER = 0.5  # summed log error that two exchanged torques leave less
+A_LITTLE = (-0.2, 0.2)  # rad, beside the larger zeros
+NEAR = 0.8  # rad, within which a zero is refined
+OTHER_RANGE = 10.0  # times the range of a joint in the other recordings: another unit
+SMALLEST_ZERO = np.radians(1.0)  # less is no fault of the data
+
+
+def exchanged_in_one(look: Look) -> Iterator[Hypothesis]:
+    """Two joints' torques, positions, or both exchanged in one recording."""
+    if len(look.sample.tracks) < 2:
+        return
+    others = _by_others(look)
+    apart = _apart(look, others)
+    for r, errors in enumerate(others):
+        log = np.log(errors + FLOOR)
+        for i, j in combinations(range(len(errors)), 2):
+            if log[i, i] + log[j, j] - log[i, j] - log[j, i] > BETTER:
+                yield _exchanged(look, r, i, j, ("torque",))
+            if apart[r]:
+                yield _exchanged(look, r, i, j, ("motor_position",))
+                yield _exchanged(look, r, i, j, ("torque", "motor_position"))
+
+
+def zeros_in_one(look: Look) -> Iterator[Hypothesis]:
+    """A joint that counts from another zero in one recording."""
+    for r in _standing_apart(look):
+        for k in range(len(look.sample.joints)):
+            if not look.prismatic[k]:
+                for angle in (*ZEROS, *A_LITTLE):
+                    yield _zero(look, r, k, angle)
+
+
+def rates_in_one(look: Look) -> Iterator[Hypothesis]:
+    """One recording's sample rate is not the stated one."""
+    for r in _standing_apart(look):
+        text = f"The stated sample rate of {name_of(look, r)} is <factor> times the true one, and that of the others is right."
+
+        def reading(factor: float, r: int = r) -> Reading:
+            return look.reading.changed_in(r, {"rate": look.reading.logs[r].rate / factor})
+
+        for factor in GRID:
+            yield Hypothesis(
+                "sample_rate",
+                None,
+                (),
+                text,
+                reading,
+                factor,
+                (factor / 1.6, factor * 1.6),
+                smallest=LEAST,
+                neutral=1.0,
+            )
+
+
+def units_in_one(look: Look) -> Iterator[Hypothesis]:
+    """One recording's angles in degrees, milliradians or turns."""
+    sample = look.sample
+    if len(sample.tracks) < 2:
+        return
+    turning = np.flatnonzero(~np.array(look.prismatic))
+    reach = np.array([np.ptp(sample.seen(look.reading)[0][span][:, turning], axis=0) for span in sample.spans])
+    for r in range(len(reach)):
+        others = np.median(np.delete(reach, r, axis=0), axis=0)
+        times = np.median(reach[r] / np.maximum(others, 1e-9)) if len(turning) else 1.0
+        for unit, scale in ANGLES.items():
+            if (times > OTHER_RANGE) if scale < 1.0 else (times < 1.0 / scale):
+                yield _unit(look, r, turning.tolist(), unit, scale)
+
+
+def name_of(look: Look, recording: int) -> str:
+    """Of a recording's file, and which it is of several parts of one."""
+    names = [t.name for t in look.sample.tracks]
+    name = names[recording]
+    return name if names.count(name) == 1 else f"{name} (recording {recording + 1})"
+
+
+# ---- which recording it may be ----------------------------------------------------------------------------------
+
+
+def _standing_apart(look: Look) -> list[int]:
+    return np.flatnonzero(_apart(look, _by_others(look))).tolist() if len(look.sample.tracks) > 1 else []
+
+
+def _by_others(look: Look) -> Array:
+    """Squared error of each recording with what the fit to all others predicts of joint i beside the torque of joint j, over the
+    variance of that torque, (recordings, i, j).
+    """
+    return _errors_in(look, look.predicted_by_others)
+
+
+def _apart(look: Look, others: Array) -> Array:
+    """Whether each recording goes much better with a fit of its own, (recordings,)."""
+    less = np.log((others + FLOOR) / (_errors_in(look, look.predicted_by_own) + FLOOR))
+    return np.asarray(np.trace(less, axis1=1, axis2=2) > APART)
+
+
+def _errors_in(look: Look, predicted: Array) -> Array:
+    measured = look.measured()
+    apart = (predicted[:, :, None] - measured[:, None, :]) ** 2
+    return np.array([apart[span].mean(axis=0) for span in look.sample.spans]) / (measured.var(axis=0) + 1e-300)
+
+
+# ---- what it may be ---------------------------------------------------------------------------------------------
+
+
+def _exchanged(look: Look, r: int, i: int, j: int, signals: tuple[str, ...]) -> Hypothesis:
+    present, entries = look.reading, {}
+    for name, common in (("order", present.order), ("torque_order", present.torque_order)):
+        if ("motor_position" if name == "order" else "torque") in signals:
+            order = list(getattr(present.logs[r], name))
+            a, b = common[i], common[j]
+            order[a], order[b] = order[b], order[a]
+            entries[name] = tuple(order)
+    signal = signals[0] if len(signals) == 1 else "all"
+    joints = (look.sample.joints[i], look.sample.joints[j])
+    text = (
+        f"The {WHAT[signal]} columns of {' and '.join(joints)} are exchanged in {name_of(look, r)}, and not in the other recordings: "
+        "put them in the order of `joints` in that log."
+    )
+    return Hypothesis.of("swapped_columns", signal, joints, text, present.changed_in(r, entries))
+
+
+def _zero(look: Look, r: int, k: int, angle: float) -> Hypothesis:
+    joint, present = look.sample.joints[k], look.reading
+
+    def reading(angle: float) -> Reading:
+        offset = list(present.logs[r].offset)
+        offset[present.order[k]] += angle / present.scale[k]
+        return present.changed_in(r, {"offset": tuple(offset)})
+
+    text = (
+        f"The zero of {joint} is <factor>° off in {name_of(look, r)}, and not in the other recordings: its angle is that log's plus "
+        "that. Leave that recording out, or correct its column."
+    )
+    bounds = (angle - NEAR, angle + NEAR)
+    return Hypothesis(
+        "kinematics", "motor_position", (joint,), text, reading, angle, bounds, shown=float(np.degrees(1.0)),
+        smallest=float(SMALLEST_ZERO),
+    )  # fmt: skip
+
+
+def _unit(look: Look, r: int, chosen: list[int], unit: str, scale: float) -> Hypothesis:
+    present = look.reading
+    joints = tuple(look.sample.joints[k] for k in chosen)
+    scales = list(present.logs[r].scale)
+    for k in chosen:
+        scales[present.order[k]] *= scale
+    text = (
+        f"The position of {', '.join(joints)} is in {unit} in {name_of(look, r)}, and not in the other recordings: bring it to SI "
+        f"units (times {scale:.6g})."
+    )
+    reading = present.changed_in(r, {"scale": tuple(scales)})
+    return dataclasses.replace(Hypothesis.of("unit", "motor_position", joints, text, reading), factor=1.0 / scale)
