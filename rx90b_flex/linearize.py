@@ -203,16 +203,16 @@ class Linearization:
 
         Parameters
         ----------
-        hz : array, shape (F,)
+        hz : float or array, shape (F,)
 
         Returns
         -------
-        complex array, shape (F, joints, joints), rad/s^2 per N m
+        complex array, shape (F, joints, joints), or (joints, joints) of one frequency; rad/s^2 per N m
             ``(jw)^2 B^T (K + jw D - w^2 M)^-1 B`` (equations 5.36, 5.47), rows are drives that move.
         """
-        s = 2j * np.pi * np.asarray(hz, dtype=float)[:, None, None]
+        s = 2j * np.pi * np.asarray(hz, dtype=float)[..., None, None]
         drives = self.input_matrix
-        response = np.linalg.solve(self.K + s * self.D + s**2 * self.M, drives.astype(complex)[None])
+        response = np.linalg.solve(self.K + s * self.D + s**2 * self.M, drives.astype(complex))
         return s**2 * (drives.T @ response)
 
     def to_statespace(self) -> control.StateSpace:

@@ -608,8 +608,10 @@ def test_torques_at_other_times_are_those_of_their_columns_rows_and_logs():
         plain,
         torque_order=(2, 0, 1),
         torque_scale=(1.0, -2.0, 0.5),
-        shift_s=(0.3, 0.0, -0.2),
-    ).changed_in(1, {"shift_s": 0.4})
+    )
+    for which, late in ((0, 0.3), (2, -0.2)):
+        reading = reading.later(np.tile(np.arange(3) == which, (2, 1)), late)
+    reading = reading.later(np.array([[False], [True]]) * np.ones(3, dtype=bool), 0.4)
     lags = np.array([-1.0, 0.0, 0.6, 9.0])
     expected = np.empty((3, len(lags), 14))
     for j, (column, scale, shift) in enumerate(zip((2, 0, 1), (1.0, -2.0, 0.5), (3, 0, -2), strict=True)):
@@ -621,4 +623,4 @@ def test_torques_at_other_times_are_those_of_their_columns_rows_and_logs():
     torque, inside = sample.torque_of(reading)
     assert inside.all()
     np.testing.assert_array_equal(torque[:, [2, 0, 1]] * reading.torque_scale, expected[:, 1].T)
-    assert not sample.torque_of(dataclasses.replace(reading, shift_s=(9.0, 0.0, 0.0)))[1].any()
+    assert not sample.torque_of(reading.later(np.tile([True, False, False], (2, 1)), 9.0))[1].any()

@@ -38,7 +38,7 @@ def simulate_command(
 ) -> None:
     """Simulate a flexible robot under its controller.
 
-    Along a trajectory: recording, every coordinate, tip deviation, figure.
+    Along a trajectory, the RX90B's line where none is given: recording, every coordinate, tip deviation, figure.
 
     The first simulation of a user compiles for a quarter of a minute; later ones do not.
 
@@ -65,6 +65,8 @@ def simulate_command(
     request = RunRequest(robot, chosen[0] if chosen else "line", controller, periods, seed, noise, perturbation)
     with progress() as tell:
         result = simulate_into(request, out, tell, overwrite)
+    if not chosen:
+        say("No motion was given: the straight line of the RX90B (--line). --harmonics suits any robot.")
     for text in summary(result, from_file=trajectory is not None):
         say(text)
     say(f"Recording, tip.csv and figure: {out}")

@@ -42,7 +42,7 @@ from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals import Campaign, Recording, load_campaign, lowpass
 from rx90b_flex.signals.data_fault import DataFault, DataFaultError
-from rx90b_flex.signals.facts import counter_steps, found_period_s, sensible_cutoff_hz
+from rx90b_flex.signals.facts import counter_steps, found_period_s, repeats, sensible_cutoff_hz
 from rx90b_flex.signals.stated import JOINT_SIDES
 
 SCHEMA = 1
@@ -65,6 +65,8 @@ class RecordingFacts:
         Coarsest step of the positions; None where they are not on a grid.
     period_s : float or None
         Of a motion that repeats, stated or found.
+    stated_period_s : float or None
+        What the campaign states and the motion contradicts.
     """
 
     file: str
@@ -74,6 +76,7 @@ class RecordingFacts:
     at_rest: float
     position_step_rad: float | None
     period_s: float | None
+    stated_period_s: float | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -315,6 +318,8 @@ def _facts(recording: Recording) -> RecordingFacts:
     # a fiftieth of a second at a time: a slow joint's counter steps only now and then
     window = max(1, round(0.02 * recording.sample_rate_hz))
     speed = np.abs(recording.position[window:] - recording.position[:-window])
+    stated = recording.period_s
+    wrong = stated if stated is not None and not repeats(recording, stated) else None
     resting = (speed <= AT_REST * np.maximum(speed.max(axis=0, initial=0.0), 1e-12)).all(axis=1)
     return RecordingFacts(
         recording.file_name,
@@ -323,7 +328,8 @@ def _facts(recording: Recording) -> RecordingFacts:
         recording.sample_rate_hz,
         float(resting.mean()) if len(resting) else 1.0,
         float(counter_steps(recording.position).max(initial=0.0)) or None,
-        recording.period_s or found_period_s(recording),
+        found_period_s(recording) if wrong or stated is None else stated,
+        wrong,
     )
 
 

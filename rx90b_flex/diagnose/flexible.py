@@ -97,7 +97,7 @@ class Structure:
         for pose in poses:
             if np.shape(pose) != (len(robot.joints),):
                 raise ValueError(
-                    f"a pose has shape {np.shape(pose)}; expected {len(robot.joints)} angles of {robot.name}"
+                    f"a pose of the data has {np.size(pose)} angles, {robot.name} has {len(robot.joints)} joints: is it their robot?"
                 )
         additions = _additions(robot, joints, poses[0])
         full = robot.with_effects([*robot.effects, *additions])

@@ -117,7 +117,10 @@ class FrequencyResponse(Showing):
 
     def to_xarray(self) -> Any:
         """An `xarray.Dataset` with value and standard deviation over hz, acceleration and torque (needs the package xarray)."""
-        import xarray
+        try:
+            import xarray
+        except ImportError:
+            raise ImportError("to_xarray needs xarray: install rx90b_flex[grids]") from None
 
         grid = ("hz", "acceleration", "torque")
         places = {"hz": self.hz, "acceleration": list(self.joints), "torque": list(self.joints)}

@@ -249,7 +249,7 @@ def _from_names(recordings: Sequence[Recording]) -> tuple[Place, ...]:
     if unknown:
         raise ValueError(
             f"recording {unknown[0]!r}: neither feedforward_torque nor its name tells realisation, experiment and sign; "
-            "log the feed-forward torque or the references, name recordings as run_000_1_plus, or give `places`"
+            "log the feed-forward torque or the references, or name recordings as run_000_1_plus (in Python also: give `places`)"
         )
     orders = list(dict.fromkeys(match["realisation"] for match in found if match))
     return tuple(

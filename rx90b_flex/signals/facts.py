@@ -17,6 +17,7 @@ OVER_MOTION = 4.0  # that cutoff over the frequency below which so much of the p
 LOWEST_HZ = 1.0
 PRINTED = 1e3  # steps of a grid that a joint usually moves by from sample to sample: finer is no sensor's
 SHORTEST_PERIOD_S = 0.5
+MUCH_THE_SAME = 0.02  # the same, up to which a stated period is one: a robot's drives and its wear are no other motion
 REPEATS = 2e-5  # squared difference of a motion to itself a period later, over twice its variance
 
 
@@ -78,6 +79,16 @@ def found_period_s(recording: Recording) -> float | None:
         return None
     begin, end = edges[:2]
     return float((begin + np.argmin(unlike[begin:end])) / rate)
+
+
+def repeats(recording: Recording, period_s: float) -> bool:
+    """Whether the motion is much the same a period later; also where the recording holds no two of them."""
+    lag = round(period_s * recording.sample_rate_hz)
+    if lag < 1 or recording.samples < 2 * lag:
+        return True
+    q = recording.position - recording.position.mean(axis=0)
+    change = ((q[lag:] - q[:-lag]) ** 2).sum()
+    return bool(change <= 2.0 * MUCH_THE_SAME * ((q[lag:] ** 2).sum() + (q[:-lag] ** 2).sum()))
 
 
 def counter_steps(position: Array) -> Array:

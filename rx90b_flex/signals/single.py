@@ -9,6 +9,7 @@ from pathlib import Path
 from rx90b_flex.signals.folders import files_read, refuse_unwritable, why
 from rx90b_flex.signals.tables import write_whole
 
+GENERATOR = re.compile(r'<meta name="generator" content="([^"]*)">')
 LOOKED_AT = 2**16  # bytes at a file's beginning
 
 
@@ -42,7 +43,8 @@ def check_file(path: Path, source: str | os.PathLike[str] | None = None) -> None
 def write_file(path: Path, text: str) -> None:
     """Write text, XML or HTML, as UTF-8; the file appears whole or not at all, in a folder that is made where it is missing.
 
-    A file that is there is replaced if it is empty or of the same kind.
+    A file that is there is replaced if it is empty or of the same kind: of the same first element and, where the text says what
+    made it (``<meta name="generator">``), made by the same.
 
     Raises
     ------
@@ -51,9 +53,11 @@ def write_file(path: Path, text: str) -> None:
     """
     try:
         check_file(path)
-        there, kind = _beginning(path), _root(text)
-        if there.strip() and _root(there) != kind:
-            raise ValueError(f"{path}: a file that does not begin with <{kind}> is there; expected another name")
+        there, made_by = _beginning(path), GENERATOR.search(text[:LOOKED_AT])
+        if there.strip() and _root(there) != _root(text):
+            raise ValueError(f"{path}: a file that does not begin with <{_root(text)}> is there; expected another name")
+        if there.strip() and made_by and made_by[0] not in there:
+            raise ValueError(f"{path}: a page that is no {made_by[1]} is there; expected another name")
         path.absolute().parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     except OSError as error:

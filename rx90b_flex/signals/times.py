@@ -82,7 +82,9 @@ def check_uniform(file: Path, time: Array, rate: float, resolution: Array, first
     if contradicts:
         found = f"steps of {typical:.6g} s ({1.0 / typical:.6g} Hz)" if typical > 0.0 else "times that never change"
         message = f"{file}: column 'time': {found} contradict sample_rate_hz = {rate:g} ({period:.6g} s)"
-        raise DataFaultError(DataFault("sample_rate", None, (), message, factor=rate * typical or None))
+        raise DataFaultError(
+            DataFault("sample_rate", None, (), message, factor=float(f"{rate * typical:.12g}") or None)
+        )
     if jitter:
         message = (
             f"{file}: column 'time': steps of {steps.min():.3g} to {steps.max():.3g} s at {1.0 / typical:.4g} Hz on average, the "

@@ -690,13 +690,13 @@ class _Runner:
             assert jump is not None
             fast = "is too fast" if jump.lasts else "jumps"
             limit = self.loop.speed[joint]
-            return f"{at} the reference of {name} {fast}: {jump.speed:.3g} {unit.speed}, over {limit:.3g}"
+            return f"{at} the reference of {name} {fast}: {jump.speed:.5g} {unit.speed}, over {limit:.5g}"
         if status == OVERLOAD:
             held, limit = 1e3 * self.job.controller.overload_time_s, self.loop.torque_limit[joint]
             return f"{at} the {unit.effort} of {name} has been at its limit of {limit:g} {unit.force} for {held:g} ms"
         if status == OVERSPEED:
             speed_now = self.lanes.v[lane, place]
-            return f"{at} {name} {unit.move}s at {speed_now:.3g} {unit.speed}, over {self.loop.speed[joint]:.3g}"
+            return f"{at} {name} {unit.move}s at {speed_now:.5g} {unit.speed}, over {self.loop.speed[joint]:.5g}"
         lower, upper = (getattr(self.job.robot.tree, f"{end}PositionLimit")[joint] for end in ("lower", "upper"))
         limits = f"{lower:.4g} to {upper:.4g} {unit.position}"
         return f"{at} {name} is at {self.lanes.q[lane, place]:.4g} {unit.position}, outside its limits {limits}"

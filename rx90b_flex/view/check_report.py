@@ -89,6 +89,12 @@ def facts_words(checked: Checked) -> tuple[str, ...]:
         )
     elif checked.recordings:
         out.append("The noise of the torques is not known: no motion repeats (period_s), and none is stated.")
+    for r in checked.recordings:
+        if r.stated_period_s is not None:
+            does = "it does not repeat" if r.period_s is None else f"it does after {r.period_s:g} s"
+            out.append(
+                f"{r.file}: the motion does not repeat after period_s = {r.stated_period_s:g} s; {does}. Correct period_s."
+            )
     side = checked.torque_side
     sides = {"motor": "of the motors", "joint": "of the motors, seen at the joints", "behind_gear": "behind the gears"}
     if side.message:

@@ -27,13 +27,16 @@ def write_fleet_report(fleet: Fleet, path: Path) -> None:
     write_page(path, title, headline(fleet), [_standing_out(fleet), _make(fleet), _robots(fleet), _how()])
 
 
+NOT_ASKED = f"whether one stands out is asked of {FEWEST_OTHERS + 1} or more."
+
+
 def headline(fleet: Fleet) -> list[str]:
     """How many robots stand out, then each of them and each that is not compared, a line each."""
     out = [o.name for o in fleet.robots if fleet.standing_out(o.name)]
     compared = len(fleet.compared)
     first = f"{len(out)} of {compared} robots stand out" + (f": {', '.join(out)}." if out else ".")
     if compared <= FEWEST_OTHERS:
-        first = f"{compared} robots are compared; whether one stands out is asked of {FEWEST_OTHERS + 1} or more."
+        first = f"{compared} robot{' is' if compared == 1 else 's are'} compared; {NOT_ASKED}"
     return [first, *(robot_words(fleet, name) for name in out), *not_compared_words(fleet)]
 
 
@@ -82,7 +85,8 @@ def _standing_out(fleet: Fleet) -> Section:
     head = ("robot", "parameter", "value", "the others", "p-value", "when", "value before")
     figure = fleet_figure(fleet)
     if figure is None:
-        return Section("Which robots stand out", "None does.")
+        asked = len(fleet.compared) > FEWEST_OTHERS
+        return Section("Which robots stand out", "None does." if asked else f"Not asked: {NOT_ASKED}")
     return Section(
         "Which robots stand out",
         "Values are those after a robot's last change, ± one standard deviation; of the others the mean and the standard "

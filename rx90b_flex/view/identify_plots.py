@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from rx90b_flex.effects.motion import Array
-from rx90b_flex.view.axes import AFTER, FLOOR, MEASURED, new_figure
+from rx90b_flex.view.axes import AFTER, FLOOR, MEASURED, legend, new_figure
 
 WIDTH = 6.4  # inches
 
@@ -24,7 +24,7 @@ def torque_fit(
     below.axhline(0.0, color=FLOOR, linewidth=0.6)
     above.set_ylabel(f"{joint}\ntorque, {unit}")
     below.set(xlabel="time, s", ylabel=f"error, {unit}")
-    above.legend(frameon=False, fontsize=8, ncols=2)
+    legend(above)
     figure.align_ylabels((above, below))
     return figure
 

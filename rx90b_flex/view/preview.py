@@ -44,4 +44,4 @@ def preview(source: str | os.PathLike[str] | Campaign) -> dict[str, Figure]:
 def preview_images(source: Path | Campaign) -> list[Image]:
     """The same as parts of a report."""
     alt, caption = "Torque of {}, measured and of the declared model", "{}: first recording, nothing fitted"
-    return [image(figure, alt.format(j), caption.format(j)) for j, figure in preview(source).items()]
+    return [image(figure, alt.format(j), caption.format(j), zoom=True) for j, figure in preview(source).items()]

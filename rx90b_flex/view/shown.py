@@ -173,7 +173,8 @@ def _(result: Checked) -> Appearance:
         ax.set_xlabel("held-out error of a rigid model with basic friction, %")
         return figure
 
-    return Appearance(f"{result.robot}: {result.verdict}", lambda: _table(rows, columns, ("factor", "std")), draw)
+    words = f"{result.robot}: {result.verdict}".removeprefix(": ")
+    return Appearance(words, lambda: _table(rows, columns, ("factor", "std")), draw)
 
 
 @appearance_of.register

@@ -108,7 +108,7 @@ function draw(figure) {
       series: [{}, ...axes.series.map(line)],
       axes: [
         { ...ticks, size: 24, space: 50, values: (_, splits) => splits.map(short), ...ticked(axes.xlog, axes.xticks) },
-        { ...ticks, size: axes.column ? 4 : space, space: 22, values: (_, splits) => splits.map(v => axes.column ? "" : short(v)), ...ticked(axes.ylog, axes.yticks) }
+        { ...ticks, size: axes.column ? 4 : space, space: (_u, _axis, _low, _high, size) => Math.min(22, Math.max(12, size / 4)), values: (_, splits) => splits.map(v => axes.column ? "" : short(v)), ...ticked(axes.ylog, axes.yticks) }
       ],
       cursor: {
         drag: { x: true, y: true, uni: 30, setScale: false },

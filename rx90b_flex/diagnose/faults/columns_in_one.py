@@ -17,9 +17,9 @@ from rx90b_flex.diagnose.faults.swapped import WHAT
 from rx90b_flex.diagnose.faults.units import ANGLES
 from rx90b_flex.effects.motion import Array
 
-APART = 2.0  # summed log error that the fit to the others leaves a recording more than one to itself: it stands apart
-BETTER = 0.5  # summed log error that two exchanged torques leave less
-A_LITTLE = (-0.2, 0.2)  # rad, beside the larger zeros
+APART = 1.0  # summed log error, with the fit to the others, that a recording has more than another: one of them stands apart
+BETTER = 0.5  # summed log error that one recording leaves less with the fit to the others, if it is read otherwise
+A_LITTLE = (-0.25, -0.08, 0.08, 0.25)  # rad, beside the larger zeros
 NEAR = 0.8  # rad, within which a zero is refined
 OTHER_RANGE = 10.0  # times the range of a joint in the other recordings: another unit
 SMALLEST_ZERO = np.radians(1.0)  # less is no fault of the data
@@ -29,62 +29,71 @@ def exchanged_in_one(look: Look) -> Iterator[Hypothesis]:
     """Two joints' torques, positions, or both exchanged in one recording."""
     if len(look.sample.tracks) < 2:
         return
-    others = _by_others(look)
-    apart = _apart(look, others)
-    for r, errors in enumerate(others):
+    for r, errors in enumerate(_by_others(look)):
         log = np.log(errors + FLOOR)
         for i, j in combinations(range(len(errors)), 2):
             if log[i, i] + log[j, j] - log[i, j] - log[j, i] > BETTER:
                 yield _exchanged(look, r, i, j, ("torque",))
-            if apart[r]:
-                yield _exchanged(look, r, i, j, ("motor_position",))
-                yield _exchanged(look, r, i, j, ("torque", "motor_position"))
+    for r in standing_apart(look):
+        of_one = _OfOne(look, r)
+        for i, j in combinations(range(len(look.sample.joints)), 2):
+            for signals in (("motor_position",), ("torque", "motor_position")):
+                hypothesis = _exchanged(look, r, i, j, signals)
+                if of_one.gain(hypothesis.reading) > BETTER:
+                    yield hypothesis
 
 
 def zeros_in_one(look: Look) -> Iterator[Hypothesis]:
     """A joint that counts from another zero in one recording."""
-    for r in _standing_apart(look):
+    for r in standing_apart(look):
+        of_one = _OfOne(look, r)
         for k in range(len(look.sample.joints)):
             if not look.prismatic[k]:
-                for angle in (*ZEROS, *A_LITTLE):
-                    yield _zero(look, r, k, angle)
+                tried = [_zero(look, r, k, angle) for angle in (*ZEROS, *A_LITTLE)]
+                gain, best = max(((of_one.gain(h.reading), h) for h in tried), key=lambda pair: pair[0])
+                if gain > BETTER:
+                    yield best
 
 
 def rates_in_one(look: Look) -> Iterator[Hypothesis]:
     """One recording's sample rate is not the stated one."""
-    for r in _standing_apart(look):
+    for r in standing_apart(look):
         text = f"The stated sample rate of {name_of(look, r)} is <factor> times the true one, and that of the others is right."
 
         def reading(factor: float, r: int = r) -> Reading:
             return look.reading.changed_in(r, {"rate": look.reading.logs[r].rate / factor})
 
+        of_one = _OfOne(look, r)
         for factor in GRID:
-            yield Hypothesis(
-                "sample_rate",
-                None,
-                (),
-                text,
-                reading,
-                factor,
-                (factor / 1.6, factor * 1.6),
-                smallest=LEAST,
-                neutral=1.0,
-            )
+            if of_one.gain(reading(factor)) > BETTER:
+                yield Hypothesis(
+                    "sample_rate",
+                    None,
+                    (),
+                    text,
+                    reading,
+                    factor,
+                    (factor / 1.6, factor * 1.6),
+                    smallest=LEAST,
+                    neutral=1.0,
+                )
 
 
 def units_in_one(look: Look) -> Iterator[Hypothesis]:
-    """One recording's angles in degrees, milliradians or turns."""
+    """One recording's angles in degrees, milliradians or turns, or one joint's in degrees."""
     sample = look.sample
-    if len(sample.tracks) < 2:
-        return
     turning = np.flatnonzero(~np.array(look.prismatic))
+    if len(sample.tracks) < 2 or not len(turning):
+        return
     reach = np.array([np.ptp(sample.seen(look.reading)[0][span][:, turning], axis=0) for span in sample.spans])
     for r in range(len(reach)):
-        others = np.median(np.delete(reach, r, axis=0), axis=0)
-        times = np.median(reach[r] / np.maximum(others, 1e-9)) if len(turning) else 1.0
+        times = reach[r] / np.maximum(np.median(np.delete(reach, r, axis=0), axis=0), 1e-9)
         for unit, scale in ANGLES.items():
-            if (times > OTHER_RANGE) if scale < 1.0 else (times < 1.0 / scale):
+            beyond = times > OTHER_RANGE if scale < 1.0 else times < 1.0 / scale
+            if beyond.mean() > 0.5:
                 yield _unit(look, r, turning.tolist(), unit, scale)
+            elif unit == "degrees":
+                yield from (_unit(look, r, [k], unit, scale) for k in turning[beyond].tolist())
 
 
 def name_of(look: Look, recording: int) -> str:
@@ -97,27 +106,49 @@ def name_of(look: Look, recording: int) -> str:
 # ---- which recording it may be ----------------------------------------------------------------------------------
 
 
-def _standing_apart(look: Look) -> list[int]:
-    return np.flatnonzero(_apart(look, _by_others(look))).tolist() if len(look.sample.tracks) > 1 else []
+def standing_apart(look: Look) -> list[int]:
+    """Recordings that the fit to the others predicts worst; none where all are alike, both of two: each bends the other's fit."""
+    count = len(look.sample.tracks)
+    if count < 2 or any(log.other_load for log in look.reading.logs):
+        return []
+    score = np.trace(np.log(_by_others(look) + FLOOR), axis1=1, axis2=2)
+    if count == 2:
+        return [0, 1]
+    return np.flatnonzero(score > max(score.min(), score.max() - APART)).tolist() if np.ptp(score) > APART else []
 
 
 def _by_others(look: Look) -> Array:
     """Squared error of each recording with what the fit to all others predicts of joint i beside the torque of joint j, over the
     variance of that torque, (recordings, i, j).
     """
-    return _errors_in(look, look.predicted_by_others)
-
-
-def _apart(look: Look, others: Array) -> Array:
-    """Whether each recording goes much better with a fit of its own, (recordings,)."""
-    less = np.log((others + FLOOR) / (_errors_in(look, look.predicted_by_own) + FLOOR))
-    return np.asarray(np.trace(less, axis1=1, axis2=2) > APART)
-
-
-def _errors_in(look: Look, predicted: Array) -> Array:
     measured = look.measured()
-    apart = (predicted[:, :, None] - measured[:, None, :]) ** 2
+    apart = (look.predicted_by_others[:, :, None] - measured[:, None, :]) ** 2
     return np.array([apart[span].mean(axis=0) for span in look.sample.spans]) / (measured.var(axis=0) + 1e-300)
+
+
+class _OfOne:
+    """One recording beside the fit to all others, which stays as it is."""
+
+    def __init__(self, look: Look, recording: int) -> None:
+        at = look.sample.spans[recording].start
+        self._theta, self._variance, self._which = (
+            look.theta_by_others[at],
+            look.measured().var(axis=0) + 1e-300,
+            recording,
+        )
+        self._alone = dataclasses.replace(
+            look, sample=look.sample.only(recording), _columns={}, _products={}, ratios={}
+        )
+        self._before = self._error(look.reading)
+
+    def gain(self, reading: Reading) -> float:
+        """Summed log error that it leaves less, read so."""
+        return self._before - self._error(reading)
+
+    def _error(self, reading: Reading) -> float:
+        alone = dataclasses.replace(self._alone, reading=reading.with_entries({"logs": (reading.logs[self._which],)}))
+        left = alone.columns(alone.reading) @ self._theta - alone.measured()
+        return float(np.log((left**2).mean(axis=0) / self._variance + FLOOR).sum())
 
 
 # ---- what it may be ---------------------------------------------------------------------------------------------

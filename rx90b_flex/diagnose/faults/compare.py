@@ -45,6 +45,7 @@ BY_LINKS = (*ON_POSES, lengths, sample_rates)  # compared with these links, too
 # believed by them alone: other lengths are much like masses that are a little off
 BY_LINKS_ALONE = (*ON_POSES, sample_rates)
 ON_TORQUES_ALONE = (reversed_torques, torque_gains, shifted, sample_rates)
+EXCHANGES = (swapped, exchanged_in_one)
 # looked at where errors are small, too: so they are with a few per cent of an angle
 RATIOS = (gear_ratios, angle_scales)
 GAIN = 1.0  # of the summed log error: a joint's squared error falls to 37 %, or several joints' a little less each
@@ -230,18 +231,19 @@ def _plain(look: Look, hypothesis: Hypothesis) -> int:
 def _in_doubt(bases: _Bases, beside: Look, refined: _Refined) -> bool:
     """Whether the gain is as large without a fault once a drive may have what the robot file lacks.
 
-    One factor of an angle that leaves no larger errors than these effects, which have dozens, is believed all the same.
+    Columns in another order, or one factor of an angle, that leave no larger errors than these effects, which have dozens, are
+    believed all the same.
     """
     gain, rank, chosen, _ = refined
     after, bare = bases.look.fit(chosen.reading), beside.fit()
     if IMPOSSIBLE * float((bases.fitted.driven - after.driven).sum()) + chosen.evident >= GAIN:
         return False  # no effect makes friction drive a joint
     without = gain.fitted >= MODEST and bare.score - beside.fit(chosen.reading).score < MODEST
-    if KINDS[rank] not in RATIOS:
+    if KINDS[rank] not in (*RATIOS, *EXCHANGES):
         return without
     gaining = after.error < GAINING * bases.fitted.error
     less = np.log((after.error + FLOOR) / (bare.error + FLOOR))[gaining].sum() > TIE
-    return bool(without and less) or _by_the_urdf(bases.look, chosen)
+    return bool(without and less) or (KINDS[rank] in RATIOS and _by_the_urdf(bases.look, chosen))
 
 
 def _one_ratio(refined: list[_Refined]) -> list[_Refined]:
@@ -279,7 +281,9 @@ def _promising(look: Look, everything: bool) -> list[tuple[float, int, Hypothesi
     bases = _Bases(look.thinned(THIN), first=True)
     out: list[tuple[float, int, Hypothesis]] = []
     for rank, kind in enumerate(KINDS):
-        if not (everything or kind in (*ON_TORQUES_ALONE, *RATIOS)) or (look.with_effects and kind in RATIOS):
+        if not (everything or kind in (*ON_TORQUES_ALONE, *RATIOS, zeros_in_one)) or (
+            look.with_effects and kind in RATIOS
+        ):
             continue
         tried = []
         for number, h in enumerate(kind(bases.look)):

@@ -15,6 +15,7 @@ from rx90b_flex.diagnose.faults.sample import Reading
 from rx90b_flex.effects.motion import Array, Mask
 
 OTHER = 1.1  # times what the other recordings ask for, from which a torque is looked at
+ALIKE = 1.6  # times that all torques of a recording differ: then they have another unit together
 WITHIN = 1.6  # times a first guess of a factor
 AS_WELL, WITH_OTHERS = 1.1, 2.5  # of the squared error with a torque scaled, up to which its friction explains as much
 MOSTLY = 0.5  # of a recording's squared error that another friction of its joints leaves: it is no other load
@@ -35,12 +36,21 @@ def reversed_in_one(look: Look) -> Iterator[Hypothesis]:
 def scaled_in_one(look: Look) -> Iterator[Hypothesis]:
     """A joint's torque in another unit in one recording, but where its friction alone may be another, as it is when warm."""
     places = list(_places(look))
+    for r in range(len(look.sample.tracks)):
+        own = [ratio for at, _, ratio in places if at == r]
+        if (
+            len(own) > 1
+            and min(own) > 0.0
+            and max(own) < ALIKE * min(own)
+            and abs(np.log(np.median(own))) > np.log(ALIKE)
+        ):
+            yield _scaled(look, r, range(len(own)), float(np.median(own)))
     friction = _of_friction(look) if places else None
     for r, k, ratio in places:
         if friction is not None and friction.explains(r, k):
             continue
         if ratio > OTHER or 0 < ratio < 1 / OTHER:
-            yield _scaled(look, r, k, ratio)
+            yield _scaled(look, r, [k], ratio)
 
 
 def other_loads(look: Look) -> Iterator[Hypothesis]:
@@ -76,7 +86,8 @@ class _OfFriction(NamedTuple):
 def _of_friction(look: Look) -> _OfFriction:
     """Whether a recording that stands apart has another friction: a robot is warmer in one than in another."""
     sample = look.sample
-    measured, predicted, rubs = look.measured(), look.predicted(), _rubs(look)
+    measured, predicted = look.measured(), look.predicted_by_others
+    rubs = _rubs(look, look.theta_by_others)
 
     def left(part: Array) -> Array:
         out = []
@@ -90,11 +101,11 @@ def _of_friction(look: Look) -> _OfFriction:
     return _OfFriction(now, left(predicted), left(rubs))
 
 
-def _rubs(look: Look) -> Array:
-    """Basic friction of the present fit, (R, joints), N m."""
-    columns, theta, links = look.columns(look.reading), look.fit().theta.mean(axis=0), look.reading.links
+def _rubs(look: Look, theta: Array) -> Array:
+    """Basic friction of a fit's parameters at each row (R, p), or at all of them (1, p); (R, joints), N m."""
+    columns, links = look.columns(look.reading), look.reading.links
     own = [[links + PER_JOINT * j + i for i in FRICTION] for j in range(len(look.sample.joints))]
-    return np.stack([columns[:, j, at] @ theta[at] for j, at in enumerate(own)], axis=1)
+    return np.stack([(columns[:, j, at] * theta[:, at]).sum(axis=1) for j, at in enumerate(own)], axis=1)
 
 
 def _driven_in_one(look: Look) -> Mask:
@@ -102,7 +113,7 @@ def _driven_in_one(look: Look) -> Mask:
     (recordings, joints).
     """
     sample, reading = look.sample, look.reading
-    resisting = look.measured() - look.predicted() + _rubs(look)
+    resisting = look.measured() - look.predicted() + _rubs(look, look.fit().theta.mean(axis=0, keepdims=True))
     velocity = sample.seen(reading)[1] * sample.left_seen(reading)
     along = np.array([_along(sample.spans, velocity, x) for x in (resisting, look.measured())])
     drives, brakes = along.max(axis=(0, 1)), along.min(axis=(0, 1))
@@ -151,11 +162,15 @@ def _reversed(look: Look, name: str, recording: int, joint: int, evident: float)
     return dataclasses.replace(Hypothesis.of("reversed_sign", signal, (said,), text, reading), evident=evident)
 
 
-def _scaled(look: Look, recording: int, joint: int, factor: float) -> Hypothesis:
-    said, where = look.sample.joints[joint], name_of(look, recording)
+def _scaled(look: Look, recording: int, joints: Sequence[int], factor: float) -> Hypothesis:
+    names, where = tuple(look.sample.joints[k] for k in joints), name_of(look, recording)
 
     def reading(factor: float) -> Reading:
-        return look.reading.scaled_in(recording, "torque_scale", joint, 1.0 / factor)
+        out = look.reading
+        for k in joints:
+            out = out.scaled_in(recording, "torque_scale", k, 1.0 / factor)
+        return out
 
-    text = f"The torque of {said} in {where} is <factor> times what it is in the other recordings: bring that log to their unit."
-    return Hypothesis("torque_gain", "torque", (said,), text, reading, factor, (factor / WITHIN, factor * WITHIN))
+    whose = names[0] if len(names) == 1 else "every joint"
+    text = f"The torque of {whose} in {where} is <factor> times what it is in the other recordings: bring that log to their unit."
+    return Hypothesis("torque_gain", "torque", names, text, reading, factor, (factor / WITHIN, factor * WITHIN))

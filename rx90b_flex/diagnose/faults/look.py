@@ -181,25 +181,22 @@ class Look:
         return np.asarray(self.columns(self.reading) @ self.fit().theta.mean(axis=0))
 
     @cached_property
-    def predicted_by_others(self) -> Array:
-        """Torques of each recording that the fit to all others predicts, (R, joints), N m."""
-        return self._of_recordings(lambda all_of_them, own: all_of_them - own)
+    def theta_by_others(self) -> Array:
+        """Parameters of the fit to all recordings but that of each row, with weights of the present fit's errors, (R, p)."""
+        x, y, products = self.columns(self.reading), self.measured(), self.products(self.reading)
+        error, out = self.fit().error + FLOOR, []
+        for span in self.sample.spans:
+            others = np.ones(len(y), dtype=bool)
+            others[span] = False
+            root = 1.0 / np.sqrt((y[others].var(axis=0) + 1e-300) * error)
+            rows = (x[others] * root[:, None]).reshape(-1, x.shape[2])
+            out.append(solution(rows.T @ rows, rows.T @ (y[others] * root).ravel(), products))
+        return self.sample.by_rows(out)
 
     @cached_property
-    def predicted_by_own(self) -> Array:
-        """The same of a fit to itself."""
-        return self._of_recordings(lambda _, own: own)
-
-    def _of_recordings(self, equations: Callable[[Array, Array], Array]) -> Array:
-        """With weights of the present fit, and from the equations (p, p + 1) of all recordings and of one."""
-        x, y = self.columns(self.reading), self.measured()
-        root = 1.0 / np.sqrt((y.var(axis=0) + 1e-300) * (self.fit().error + FLOOR))
-        rows = np.concatenate([x, y[:, :, None]], axis=2) * root[:, None]
-        flat = [rows[span].reshape(-1, rows.shape[2]) for span in self.sample.spans]
-        own = np.array([a[:, :-1].T @ a for a in flat])
-        chosen = [equations(own.sum(axis=0), e) for e in own]
-        theta = [solution(e[:, :-1], e[:, -1], self.products(self.reading)) for e in chosen]
-        return np.concatenate([x[span] @ t for span, t in zip(self.sample.spans, theta, strict=True)])
+    def predicted_by_others(self) -> Array:
+        """Torques of each recording that the fit to all others predicts, (R, joints), N m."""
+        return np.asarray((self.columns(self.reading) @ self.theta_by_others[:, :, None])[:, :, 0])
 
     def fit_of_known_links(self, reading: Reading | None = None, near: RigidFit | None = None) -> RigidFit:
         """The same with the links as the URDF has them: only friction, drives and offsets are fitted."""

@@ -27,6 +27,7 @@ POSITION_CUTOFF_RATIO = 2.0  # positions keep an octave more than torques, so th
 LEFT = 0.01  # of a joint's travel, which it is to move before its rows count: what friction held till then nobody knows
 BEGINNING = 0.25  # of a recording at the most: rows of a joint that stands for longer tell of its links, too
 WINDINGS = (1e-3, 3e-3, 1e-2)  # of a joint's travel, over which friction winds up before it slides
+ARRAYS = ("q", "v", "a", "dry", "wound", "left", "fold")  # of a sample, one row a row
 BASICS = ("drive_inertia", "viscous_friction", "coulomb_friction", "torque_offset")  # in the order of their columns
 
 
@@ -35,14 +36,14 @@ class OneLog:
     """How the columns of one log are to be read before they are as those of the other logs.
 
     Angle column k is ``scale[k] * column[order[k]] + offset[k]``, torque column k ``torque_scale[k] * column[torque_order[k]]``, each
-    of the log's, torques taken `shift_s` later.
+    of the log's, torques taken ``shift_s[k]`` later.
 
     Attributes
     ----------
     order, torque_order : tuple of int
-    scale, offset, torque_scale : tuple of float
-    shift_s, rate : float
-        `rate` is its true over its stated sample rate.
+    scale, offset, torque_scale, shift_s : tuple of float
+    rate : float
+        Its true over its stated sample rate.
     other_load : bool
         Whether its last link is another body than the others'.
     """
@@ -52,15 +53,15 @@ class OneLog:
     offset: tuple[float, ...]
     torque_order: tuple[int, ...]
     torque_scale: tuple[float, ...]
-    shift_s: float = 0.0
+    shift_s: tuple[float, ...]
     rate: float = 1.0
     other_load: bool = False
 
     @staticmethod
     def of(joints: int) -> OneLog:
         """As the others."""
-        same, one = tuple(range(joints)), (1.0,) * joints
-        return OneLog(same, one, (0.0,) * joints, same, one)
+        same, one, zero = tuple(range(joints)), (1.0,) * joints, (0.0,) * joints
+        return OneLog(same, one, zero, same, one, zero)
 
     @property
     def motion_key(self) -> tuple[object, ...]:
@@ -78,15 +79,15 @@ class Reading:
     """How a log's columns are read: which is whose, with which sign and scale, against which tree.
 
     The angle of joint j is ``scale[j] * column[order[j]] + offset[j]``, its torque ``torque_scale[j] *
-    column[torque_order[j]]``, taken ``shift_s[j]`` later than the angle. Velocities grow with `rate`, accelerations with its square.
-    The columns are those of each log as `logs` has them.
+    column[torque_order[j]]``. Velocities grow with `rate`, accelerations with its square. The columns are those of each log as
+    `logs` has them.
 
     Attributes
     ----------
     robot : Robot
         Rigid, of the campaign's joints.
     order, torque_order : tuple of int
-    scale, offset, torque_scale, shift_s : tuple of float
+    scale, offset, torque_scale : tuple of float
     logs : tuple of OneLog
         One a recording.
     rate : float
@@ -106,7 +107,6 @@ class Reading:
     offset: tuple[float, ...]
     torque_order: tuple[int, ...]
     torque_scale: tuple[float, ...]
-    shift_s: tuple[float, ...]
     logs: tuple[OneLog, ...]
     rate: float = 1.0
     gravity: tuple[float, float, float] = (0.0, 0.0, -1.0)
@@ -133,7 +133,7 @@ class Reading:
     def of(robot: Robot, joints: int, recordings: int) -> Reading:
         """As the campaign file states it."""
         same, one, zero = tuple(range(joints)), (1.0,) * joints, (0.0,) * joints
-        return Reading(robot, same, one, zero, same, one, zero, (OneLog.of(joints),) * recordings)
+        return Reading(robot, same, one, zero, same, one, (OneLog.of(joints),) * recordings)
 
     @property
     def links(self) -> int:
@@ -141,7 +141,7 @@ class Reading:
         return 10 * len(self.robot.bodies)
 
     def changed(self, name: str, which: Collection[int], change: Callable[[float], float]) -> Reading:
-        """With some entries of `scale`, `offset`, `torque_scale` or `shift_s` changed."""
+        """With some entries of `scale`, `offset` or `torque_scale` changed."""
         values = tuple(change(x) if k in which else x for k, x in enumerate(getattr(self, name)))
         return self.with_entries({name: values})
 
@@ -158,6 +158,16 @@ class Reading:
         values[order[joint]] *= factor
         return self.changed_in(recording, {name: tuple(values)})
 
+    def later(self, where: Mask, seconds: float) -> Reading:
+        """With the torques of some joints taken later in some logs, `where` of shape (recordings, joints)."""
+        columns = np.zeros(where.shape)
+        columns[:, list(self.torque_order)] = seconds * where
+        logs = [
+            dataclasses.replace(log, shift_s=tuple((np.array(log.shift_s) + more).tolist()))
+            for log, more in zip(self.logs, columns, strict=True)
+        ]
+        return self.with_entries({"logs": tuple(logs)})
+
     def with_entries(self, entries: Mapping[str, Any]) -> Reading:
         """With other values of some of the attributes."""
         return dataclasses.replace(self, **entries)
@@ -173,9 +183,7 @@ class Reading:
     @property
     def torque_key(self) -> tuple[object, ...]:
         """The same for readings of the same torque columns at the same times."""
-        # shifts follow the joints, so that with one the order of the torques counts too
-        order = self.torque_order if any(self.shift_s) else None
-        return (self.shift_s, order, self.torque_mix, tuple(log.torque_key for log in self.logs))
+        return (self.torque_mix, tuple(log.torque_key for log in self.logs))
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,10 +263,7 @@ class Sample:
         return Sample(campaign.joints, q, v, a, dry, wound, left, tracks, (fold + starts) % FOLDS, cutoff)
 
     def torque_of(self, reading: Reading) -> tuple[Array, Array]:
-        """Torque columns at the times of a reading, (R, joints), and which rows lie inside the logs, (R,) bool.
-
-        A column is taken at the shift of the joint that reads it.
-        """
+        """Torque columns at the times of a reading, (R, joints), and which rows lie inside the logs, (R,) bool."""
         columns, out, inside = np.arange(len(self.joints)), [], []
         for torque, at in self._rows(reading, np.zeros(1)):
             inside.append(((at >= 0) & (at < len(torque))).all(axis=(0, 1)))
@@ -269,10 +274,8 @@ class Sample:
         """Torques of each log as the reading has its columns, and the samples at which each is taken, (L,) s later; (columns, L, r),
         beyond its ends too.
         """
-        shift = np.zeros(len(self.joints))
-        shift[list(reading.torque_order)] = reading.shift_s
         for track, log in zip(self.tracks, reading.logs, strict=True):
-            late = np.round((shift[:, None] + lags + log.shift_s) * track.rate_hz).astype(int)
+            late = np.round((np.array(log.shift_s)[:, None] + lags) * track.rate_hz).astype(int)
             yield _torque(track, log, reading), track.rows + late[..., None]
 
     def torque_seen(self, reading: Reading) -> Array:
@@ -289,8 +292,14 @@ class Sample:
         """Every so many-th row."""
         tracks = tuple(dataclasses.replace(t, rows=t.rows[::factor]) for t in self.tracks)
         rows = np.concatenate([np.arange(span.start, span.stop)[::factor] for span in self.spans])
-        arrays = {name: getattr(self, name)[rows] for name in ("q", "v", "a", "dry", "wound", "left", "fold")}
+        arrays = {name: getattr(self, name)[rows] for name in ARRAYS}
         return dataclasses.replace(self, **arrays, tracks=tracks)
+
+    def only(self, recording: int) -> Sample:
+        """Rows of one recording alone."""
+        span = self.spans[recording]
+        arrays = {name: getattr(self, name)[span] for name in ARRAYS}
+        return dataclasses.replace(self, **arrays, tracks=self.tracks[recording : recording + 1])
 
     @property
     def independent_rows(self) -> float:
@@ -332,11 +341,14 @@ class Sample:
     def _column(self, x: np.ndarray, reading: Reading) -> Any:
         """What the log has for each joint in its angle's place, (R, joints, ...)."""
         columns = self.in_logs(reading, "order").astype(int)[:, list(reading.order)]
+        if len(columns) == 1:
+            return x[:, columns[0]]
         return np.take_along_axis(x, columns.reshape(*columns.shape, *[1] * (x.ndim - 2)), axis=1)
 
     def in_logs(self, reading: Reading, name: str) -> Array:
-        """An attribute of `OneLog` at each row of the log that it is of, (R, ...)."""
-        return self.by_rows([getattr(log, name) for log in reading.logs])
+        """An attribute of `OneLog` at each row of the log that it is of, (R, ...), or (1, ...) where all logs have the same."""
+        values = [getattr(log, name) for log in reading.logs]
+        return np.array(values[:1]) if values.count(values[0]) == len(values) else self.by_rows(values)
 
     def by_rows(self, of_recordings: Sequence[Any]) -> Array:
         """What holds for each recording, at each of its rows, (R, ...)."""
@@ -351,7 +363,10 @@ class Sample:
 
 def _torque(track: Track, log: OneLog, reading: Reading) -> Array:
     """Torque columns as a reading counts them, (N, joints)."""
-    torque = track.torque[:, list(log.torque_order)] * log.torque_scale
+    plain = OneLog.of(len(log.order))
+    torque = track.torque
+    if (log.torque_order, log.torque_scale) != (plain.torque_order, plain.torque_scale):
+        torque = torque[:, list(log.torque_order)] * log.torque_scale
     return torque if reading.torque_mix is None else torque @ np.array(reading.torque_mix).T
 
 

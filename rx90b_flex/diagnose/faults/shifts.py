@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from rx90b_flex.diagnose.faults.columns_in_one import name_of, standing_apart
 from rx90b_flex.diagnose.faults.look import Hypothesis, Look
 from rx90b_flex.diagnose.faults.rigid_fit import FLOOR, RIDGE
-from rx90b_flex.diagnose.faults.sample import Reading
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, Mask
 
 SMALLEST_S = 0.05  # below it a delay of filters and buses, which the loop finds as an effect
 LARGEST_S = 3.0
@@ -22,25 +22,33 @@ TOGETHER = 64  # times that are worked out at once
 
 
 def shifted(look: Look) -> Iterator[Hypothesis]:
-    """All torques, one joint's, or one recording's, by the time at which they fit best."""
+    """All torques, one joint's, one recording's, or one joint's in one recording, by the time at which they fit best."""
     longest = min(LARGEST_S, PART * min(len(t.torque) / t.rate_hz for t in look.sample.tracks))
     step = max(1.0 / (STEPS_A_PERIOD * look.sample.cutoff_hz), longest / 400)
     lags = np.arange(-np.floor(longest / step), np.floor(longest / step) + 1) * step
-    joints, tracks = len(look.sample.joints), len(look.sample.tracks)
-    groups: list[tuple[str, tuple[int, ...]]] = [("shift_s", tuple(range(joints)))]
-    groups += [("shift_s", (k,)) for k in range(joints)] if joints > 1 else []
-    groups += [("log", (r,)) for r in range(tracks)] if tracks > 1 else []
-    scores = _scores(look, lags, groups)
-    for (name, chosen), row in zip(groups, scores, strict=True):
+    moves = np.array(list(_moves(look)))
+    for move, row in zip(moves, _scores(look, lags, moves), strict=True):
         lag = float(lags[int(np.argmin(row))])
         if abs(lag) >= SMALLEST_S:
-            yield _of(look, name, chosen, lag, step)
+            yield _of(look, move, lag, step)
 
 
-def _scores(look: Look, lags: Array, groups: list[tuple[str, tuple[int, ...]]]) -> Array:
-    """Log errors of fits with the weights and columns of the present reading, shape (groups, lags)."""
+def _moves(look: Look) -> Iterator[Mask]:
+    """Which torques may have come at another time, (recordings, joints): all first, then more and more special ones."""
+    tracks, joints = len(look.sample.tracks), len(look.sample.joints)
+    yield np.ones((tracks, joints), dtype=bool)
+    in_turn = [np.arange(n)[:, None] == np.arange(n) for n in (joints, tracks)]
+    if joints > 1:
+        yield from (np.tile(own, (tracks, 1)) for own in in_turn[0])
+    if tracks > 1:
+        yield from (np.tile(own[:, None], (1, joints)) for own in in_turn[1])
+    if joints > 1 and tracks > 1:
+        yield from (np.outer(in_turn[1][r], own) for r in standing_apart(look) for own in in_turn[0])
+
+
+def _scores(look: Look, lags: Array, moves: Mask) -> Array:
+    """Log errors of fits with the weights and columns of the present reading, shape (moves, lags)."""
     sample, reading = look.sample, look.reading
-    n, tracks = len(sample.joints), len(sample.tracks)
     x = np.ascontiguousarray(look.columns(reading).transpose(1, 0, 2))
     counts = sample.left_seen(reading).T[:, None]
 
@@ -60,10 +68,7 @@ def _scores(look: Look, lags: Array, groups: list[tuple[str, tuple[int, ...]]]) 
     size = np.sqrt(np.diag(whole))
     size[size < 1e-6 * size.max()] = size.max()
     inverse = np.linalg.inv(whole / np.outer(size, size) + RIDGE * np.eye(len(size))) / np.outer(size, size)
-    moves = np.zeros((len(groups), tracks, n), dtype=bool)
-    for move, (name, chosen) in zip(moves, groups, strict=True):
-        (move.T if name == "shift_s" else move)[list(chosen)] = True
-    out = np.empty((len(groups), len(lags)))
+    out = np.empty((len(moves), len(lags)))
     for begin in range(0, len(lags), TOGETHER):
         some = slice(begin, begin + TOGETHER)
         late = at(lags[some])
@@ -76,21 +81,15 @@ def _scores(look: Look, lags: Array, groups: list[tuple[str, tuple[int, ...]]]) 
     return out
 
 
-def _of(look: Look, name: str, chosen: tuple[int, ...], lag: float, step: float) -> Hypothesis:
-    sample = look.sample
-
-    def reading(seconds: float) -> Reading:
-        if name == "log":
-            r = chosen[0]
-            return look.reading.changed_in(r, {"shift_s": look.reading.logs[r].shift_s + seconds})
-        return look.reading.changed(name, chosen, lambda x: x + seconds)
-
-    joints = tuple(sample.joints[k] for k in chosen) if name == "shift_s" else sample.joints
-    where = f"of {', '.join(joints)}" if name == "shift_s" else f"in recording {chosen[0] + 1}"
+def _of(look: Look, move: Mask, lag: float, step: float) -> Hypothesis:
+    joints = tuple(j for j, own in zip(look.sample.joints, np.atleast_1d(move.any(axis=0)), strict=True) if own)
+    recordings = np.flatnonzero(move.any(axis=1)).tolist()
+    whose = f" of {', '.join(joints)}" if move.all() or not move.all(axis=1).any() else ""
+    where = f" in {name_of(look, recordings[0])}" if len(recordings) < len(move) else ""
     when = "after" if lag > 0 else "before"
-    text = f"Torques {where} are logged <factor> s {when} the positions they belong to: bring both to one clock."
+    text = f"Torques{whose}{where} are logged <factor> s {when} the positions they belong to: bring both to one clock."
     bounds = lag - 2 * step, lag + 2 * step
     return Hypothesis(
-        "time_shift", "torque", joints, text, reading, lag, bounds,
+        "time_shift", "torque", joints, text, lambda seconds: look.reading.later(move, seconds), lag, bounds,
         shown=float(np.sign(lag)), smallest=SMALLEST_S, far=STILL_FAR,
     )  # fmt: skip

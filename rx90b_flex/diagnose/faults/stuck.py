@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from rx90b_flex.diagnose.faults.look import Look
-from rx90b_flex.effects.motion import Array, Mask
+from rx90b_flex.effects.motion import Array, Indices, Mask
 from rx90b_flex.signals import Recording
 from rx90b_flex.signals.data_fault import DataFault
 
@@ -17,7 +17,9 @@ FROZEN_S = 0.3  # the same number for so long
 FEWEST = 12  # samples
 MOVING = 0.05  # of a joint's largest step from sample to sample, with which it moves
 NOTHING = 0.6  # of the samples in which a joint moves: a torque that is zero in more of them is none that was measured
-JUMP = 8.0  # times the usual step at the end of such a segment
+JUMP = 8.0  # times the usual step at the end of such a segment, and times the usual length of a torque's
+USUAL_RUN = 0.9  # of the stretches in which a torque keeps a value are shorter: with a coarse torque there are many
+MOST = 0.8  # of a torque's stretch in which the joint moves
 SWINGS = 0.2  # of the same torque's standard deviation in other recordings: more than noise
 UNEXPLAINED = 0.5  # relative error of a joint at rest from which on it was not at rest
 
@@ -82,29 +84,61 @@ def stuck_in_one(recordings: Sequence[Recording], look: Look) -> Iterator[DataFa
 
 
 def frozen(recordings: Sequence[Recording]) -> Iterator[DataFault]:
-    """Positions that keep the same number for a while and then jump to where the joint has gone."""
+    """Positions that keep the same number for a while and then jump to where the joint has gone; torques that keep it in motion."""
     for recording in recordings:
         need = max(FEWEST, round(FROZEN_S * recording.sample_rate_hz))
         for k, joint in enumerate(recording.joints):
-            rows = _segments(recording.position[:, k], need)
-            if rows:
-                message = (
-                    f"{recording.file_name}: the position of {joint} stands still from row {rows[0]} on and then jumps: samples "
-                    "were lost; leave the part out (start_s, end_s)."
-                )
-                yield DataFault("stuck", "motor_position", (joint,), message, rows=tuple(rows[:20]))
+            position, torque = recording.position[:, k], recording.torque[:, k]
+            found = (
+                ("motor_position", f"the position of {joint} stands still", "then jumps", _lost(position, need)),
+                (
+                    "torque",
+                    f"the torque of {joint} keeps one value",
+                    "the joint moves on",
+                    _held(torque, position, need),
+                ),
+            )
+            for signal, what, but, rows in found:
+                if rows:
+                    message = (
+                        f"{recording.file_name}: {what} from row {rows[0]} on and {but}: samples were lost; leave the part out "
+                        "(start_s, end_s)."
+                    )
+                    yield DataFault("stuck", signal, (joint,), message, rows=tuple(rows[:20]))
 
 
-def _segments(position: Array, need: int) -> list[int]:
-    """First rows, counted from 1, of segments so long."""
+def _runs(x: Array) -> tuple[Indices, Indices]:
+    """First and last steps of all that keep one value, counted from 0."""
+    edges = np.flatnonzero(np.diff(np.diff(x) == 0.0, prepend=False, append=False))
+    return edges[::2], edges[1::2]
+
+
+def _lost(position: Array, need: int) -> list[int]:
+    """First rows, counted from 1, of positions that stand so long and then jump."""
+    starts, ends = _runs(position)
     steps = np.diff(position)
-    edges = np.flatnonzero(np.diff(steps == 0.0, prepend=False, append=False))
-    starts, ends = edges[::2], edges[1::2]
     jump = np.abs(np.append(steps, 0.0))[ends]
     # a joint at rest leaves slowly; one whose sensor stood is somewhere else at the next sample
     usual = np.quantile(np.abs(steps), 0.99)
     lost = (ends - starts >= need) & (jump > JUMP * usual) & (usual > 0.0)
     return [int(start) + 1 for start in starts[lost]]
+
+
+def _held(torque: Array, position: Array, need: int) -> list[int]:
+    """First rows, counted from 1, of a torque that keeps one value so long in motion, and seldom for long otherwise: its steps are no
+    matter; zero or its largest value is another's.
+    """
+    starts, ends = _runs(torque)
+    if not len(starts):
+        return []
+    speed = np.abs(np.diff(position))
+    before = np.concatenate([[0], np.cumsum(speed > MOVING * speed.max())])
+    moved = (before[ends] - before[starts]) / (ends - starts)
+    usual = np.quantile(ends - starts, USUAL_RUN) if len(starts) > FEWEST else 1.0
+    value = torque[starts]
+    known = (value == 0.0) | (value == torque.max()) | (value == torque.min())
+    held = (ends - starts >= max(need, JUMP * usual)) & (moved > MOST) & ~known
+    return [int(start) + 1 for start in starts[held]]
 
 
 def no_excitation(recordings: Sequence[Recording]) -> list[DataFault]:
