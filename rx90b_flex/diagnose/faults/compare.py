@@ -48,6 +48,8 @@ ON_TORQUES_ALONE = (reversed_torques, torque_gains, shifted, sample_rates)
 EXCHANGES = (swapped, exchanged_in_one)
 # looked at where errors are small, too: so they are with a few per cent of an angle
 RATIOS = (gear_ratios, angle_scales)
+# not looked for beside what drives may lack: that takes up a few per cent of an angle, and stands in all recordings alike
+NOT_BESIDE = (*RATIOS, zeros_in_one, rates_in_one)
 GAIN = 1.0  # of the summed log error: a joint's squared error falls to 37 %, or several joints' a little less each
 MODEST = 0.5  # the same where the joints that gain end with a small error: a good model does not gain by chance
 SMALL = 0.15**2
@@ -282,7 +284,7 @@ def _promising(look: Look, everything: bool) -> list[tuple[float, int, Hypothesi
     out: list[tuple[float, int, Hypothesis]] = []
     for rank, kind in enumerate(KINDS):
         if not (everything or kind in (*ON_TORQUES_ALONE, *RATIOS, zeros_in_one)) or (
-            look.with_effects and kind in RATIOS
+            look.with_effects and kind in NOT_BESIDE
         ):
             continue
         tried = []
