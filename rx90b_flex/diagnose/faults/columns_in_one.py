@@ -17,7 +17,8 @@ from rx90b_flex.diagnose.faults.swapped import WHAT
 from rx90b_flex.diagnose.faults.units import ANGLES
 from rx90b_flex.effects.motion import Array
 
-APART = 1.0  # summed log error, with the fit to the others, that a recording has more than another: one of them stands apart
+APART = 4.0  # summed log error that a recording's own fit leaves less than that to the others: one of them is unlike the rest
+WORST = 1.0  # the same by which one is predicted better by the others than that which is predicted worst, and still may be it
 BETTER = 0.5  # summed log error that one recording leaves less with the fit to the others, if it is read otherwise
 A_LITTLE = (-0.25, -0.08, 0.08, 0.25)  # rad, beside the larger zeros
 NEAR = 0.8  # rad, within which a zero is refined
@@ -29,7 +30,7 @@ def exchanged_in_one(look: Look) -> Iterator[Hypothesis]:
     """Two joints' torques, positions, or both exchanged in one recording."""
     if len(look.sample.tracks) < 2:
         return
-    for r, errors in enumerate(_by_others(look)):
+    for r, errors in enumerate(_errors(look, look.predicted_by_others)):
         log = np.log(errors + FLOOR)
         for i, j in combinations(range(len(errors)), 2):
             if log[i, i] + log[j, j] - log[i, j] - log[j, i] > BETTER:
@@ -107,22 +108,24 @@ def name_of(look: Look, recording: int) -> str:
 
 
 def standing_apart(look: Look) -> list[int]:
-    """Recordings that the fit to the others predicts worst; none where all are alike, both of two: each bends the other's fit."""
-    count = len(look.sample.tracks)
-    if count < 2 or any(log.other_load for log in look.reading.logs):
+    """Recordings that the fit to the others predicts worst, where any goes much better by itself: one that is unlike bends the
+    others' fits.
+    """
+    if len(look.sample.tracks) < 2 or any(log.other_load for log in look.reading.logs):
         return []
-    score = np.trace(np.log(_by_others(look) + FLOOR), axis1=1, axis2=2)
-    if count == 2:
-        return [0, 1]
-    return np.flatnonzero(score > max(score.min(), score.max() - APART)).tolist() if np.ptp(score) > APART else []
+    others, own = (
+        np.log(np.diagonal(_errors(look, x), axis1=1, axis2=2) + FLOOR).sum(axis=1)
+        for x in (look.predicted_by_others, look.predicted_by_own)
+    )
+    return np.flatnonzero(others > others.max() - WORST).tolist() if (others - own).max() > APART else []
 
 
-def _by_others(look: Look) -> Array:
-    """Squared error of each recording with what the fit to all others predicts of joint i beside the torque of joint j, over the
-    variance of that torque, (recordings, i, j).
+def _errors(look: Look, predicted: Array) -> Array:
+    """Squared error of each recording with what is predicted of joint i beside the torque of joint j, over the variance of that
+    torque, (recordings, i, j).
     """
     measured = look.measured()
-    apart = (look.predicted_by_others[:, :, None] - measured[:, None, :]) ** 2
+    apart = (predicted[:, :, None] - measured[:, None, :]) ** 2
     return np.array([apart[span].mean(axis=0) for span in look.sample.spans]) / (measured.var(axis=0) + 1e-300)
 
 

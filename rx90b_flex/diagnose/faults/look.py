@@ -21,7 +21,7 @@ from rx90b_flex.diagnose.faults.rigid_fit import (
     solution,
 )
 from rx90b_flex.diagnose.faults.sample import Reading, Sample
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, Mask
 from rx90b_flex.robot import Robot
 
 KEPT = 3  # motions whose columns are kept: the present one, and those that a refinement goes back to
@@ -183,20 +183,33 @@ class Look:
     @cached_property
     def theta_by_others(self) -> Array:
         """Parameters of the fit to all recordings but that of each row, with weights of the present fit's errors, (R, p)."""
-        x, y, products = self.columns(self.reading), self.measured(), self.products(self.reading)
-        error, out = self.fit().error + FLOOR, []
-        for span in self.sample.spans:
-            others = np.ones(len(y), dtype=bool)
-            others[span] = False
-            root = 1.0 / np.sqrt((y[others].var(axis=0) + 1e-300) * error)
-            rows = (x[others] * root[:, None]).reshape(-1, x.shape[2])
-            out.append(solution(rows.T @ rows, rows.T @ (y[others] * root).ravel(), products))
-        return self.sample.by_rows(out)
+        return self._theta_of(lambda own: ~own)
 
     @cached_property
     def predicted_by_others(self) -> Array:
         """Torques of each recording that the fit to all others predicts, (R, joints), N m."""
-        return np.asarray((self.columns(self.reading) @ self.theta_by_others[:, :, None])[:, :, 0])
+        return self._predicted(self.theta_by_others)
+
+    @cached_property
+    def predicted_by_own(self) -> Array:
+        """The same of a fit to itself."""
+        return self._predicted(self._theta_of(lambda own: own))
+
+    def _predicted(self, theta: Array) -> Array:
+        return np.asarray((self.columns(self.reading) @ theta[:, :, None])[:, :, 0])
+
+    def _theta_of(self, chosen: Callable[[Mask], Mask]) -> Array:
+        """Of fits to rows that each recording's own (R,) choose."""
+        x, y, products = self.columns(self.reading), self.measured(), self.products(self.reading)
+        error, out = self.fit().error + FLOOR, []
+        for span in self.sample.spans:
+            own = np.zeros(len(y), dtype=bool)
+            own[span] = True
+            rows = chosen(own)
+            root = 1.0 / np.sqrt((y[rows].var(axis=0) + 1e-300) * error)
+            flat = (x[rows] * root[:, None]).reshape(-1, x.shape[2])
+            out.append(solution(flat.T @ flat, flat.T @ (y[rows] * root).ravel(), products))
+        return self.sample.by_rows(out)
 
     def fit_of_known_links(self, reading: Reading | None = None, near: RigidFit | None = None) -> RigidFit:
         """The same with the links as the URDF has them: only friction, drives and offsets are fitted."""
