@@ -30,7 +30,7 @@ from rx90b_flex.diagnose.motor_turns import turns_of_motor, turns_words
 from rx90b_flex.diagnose.moving import MovingErrors, held_at_first
 from rx90b_flex.diagnose.refused import OfCampaign, RefusedLoop, verdict_despite
 from rx90b_flex.diagnose.replayed import ROLES, replayed
-from rx90b_flex.diagnose.residual import Errors, RoleErrors, replayed_errors
+from rx90b_flex.diagnose.residual import Errors, RoleErrors, replayed_errors, unlike_words
 from rx90b_flex.diagnose.reversals import row_weights
 from rx90b_flex.diagnose.search import Search
 from rx90b_flex.diagnose.seldom import shown_seldom
@@ -531,6 +531,7 @@ class _Ended:
                 *constants,
                 *beyond,
                 *said,
+                *self._unlike(predictions),
                 *_event_words(happened, campaign.joints, known, after.validation),
                 *(s.words for s in seldom),
                 *(s.words for s in drifts if floor is None or remains.left),
@@ -560,6 +561,13 @@ class _Ended:
         rates = [r.recording.sample_rate_hz for r in replays]
         found = beyond_model([r.torque for r in replays], predicted, rates)
         return () if found is None else (found.words,)
+
+    def _unlike(self, predictions: Sequence[Prediction]) -> tuple[str, ...]:
+        """Whether one recording, fitted or held out, was made otherwise than the others."""
+        fitted, model = self.residual.data.identification, self.standing.model.possible
+        names = [*(r.recording.file_name for r in fitted), *(p.recording.file_name for p in predictions)]
+        torque = [*(r.torque for r in fitted), *(p.torque for p in predictions)]
+        return unlike_words(names, torque, [*(predict(r, model) for r in fitted), *(p.after for p in predictions)])
 
     def _beyond_fitted(self) -> tuple[str, ...]:
         """Where what is left is error of extrapolation."""

@@ -17,6 +17,8 @@ from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign, Recording, lowpass, periods
 
 NOISE_ALONE = 1.005  # error over another's that is none where the joints' own errors fall on average
+UNLIKE = 3.0  # times what is left of the next worst: a recording that was made otherwise
+UNLIKE_LEAST = 0.005  # of its torques: below it no recording is unlike
 
 
 @dataclass(frozen=True)
@@ -176,6 +178,20 @@ def noise_between_periods(
     if campaign.noise_torque is not None:
         return np.asarray(campaign.noise_torque) * _white_noise_gain(campaign.cutoff_hz, campaign.sample_rate_hz)
     return None
+
+
+def unlike_words(names: Sequence[str], measured: Sequence[Array], predicted: Sequence[Array]) -> tuple[str, ...]:
+    """That a model leaves far more of one recording than of the others, where it does; torques (N, joints) of each."""
+    pairs = zip(measured, predicted, strict=True)
+    left = np.array([np.linalg.norm(tau - p) / max(float(np.linalg.norm(tau)), 1e-300) for tau, p in pairs])
+    worst = int(np.argmax(left))
+    others = np.delete(left, worst)
+    if len(others) < 2 or left[worst] < UNLIKE * max(float(others.max()), UNLIKE_LEAST):
+        return ()
+    return (
+        f"Of {names[worst]} {left[worst]:.2g} of the torques are left, of the other recordings {others.max():.2g} at the most: that "
+        "one was made otherwise. Look at its columns, its load and its times, or leave it out.",
+    )
 
 
 def _white_noise_gain(cutoff_hz: float | None, sample_rate_hz: float) -> float:

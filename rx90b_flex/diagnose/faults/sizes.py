@@ -25,14 +25,22 @@ def impossible_sizes(look: Look, named: Sequence[DataFault]) -> Iterator[DataFau
     known = {(f.signal, j) for f in named if f.kind in ("unit", "torque_gain", "unrelated") for j in f.joints}
     beyond = np.flatnonzero(outside(look, 1.0)).tolist()
     degrees = [k for k in beyond if not look.prismatic[k] and not outside(look, 1.0 / DEGREES)[k]]
-    other = [k for k in beyond if k not in degrees]
-    large, small = torque_sizes(look)
+    slides = [k for k in beyond if look.prismatic[k]]
+    other = [k for k in beyond if k not in (*degrees, *slides)]
+    # what a position in another unit makes links ask for says nothing of a torque
+    large, small = ([k for k in chosen if k not in beyond] for chosen in torque_sizes(look))
     scale = "another unit, amperes, or the motor's side of the gear?"
     in_degrees = "leaves the URDF's limits and fits into them in degrees: bring it to rad."
     wide = "moves through more than the URDF's range: the motor's side of the gear? State `gear_matrix`."
     found: tuple[tuple[str, Sequence[int], float | None, str], ...] = (
         ("motor_position", degrees, DEGREES, in_degrees),
         ("motor_position", other, None, wide),
+        (
+            "motor_position",
+            slides,
+            None,
+            "moves through more than the URDF's range: mm, or the motor's side of the gear?",
+        ),
         ("torque", large, None, f"is far above the URDF's effort limit: {scale}"),
         ("torque", small, None, f"is far below what the URDF's links ask for: {scale}"),
     )
