@@ -8,21 +8,24 @@ from rx90b_flex.signals.units import ANGLE_UNITS, TIME_UNITS, TORQUE_UNITS, word
 
 # words in names, in lower case
 # fmt: off
-_POSITION = {"q", "pos", "jpos", "aipos", "position", "positions", "ang", "angle", "angles", "theta", "enc", "encoder",
-             "istposition", "winkel"}
-_VELOCITY = {"v", "qd", "dq", "qp", "qdot", "vel", "velocity", "velocities", "speed", "omega", "refv"}
-_TORQUE = {"tau", "torque", "torques", "effort", "efforts", "eff", "trq", "jtrq", "moment", "ff", "feedforward", "drehmoment"}
+_POSITION = {"q", "pos", "jpos", "aipos", "position", "positions", "ang", "angle", "angles", "theta", "phi", "enc", "encoder",
+             "istposition", "winkel", "drehwinkel", "istwinkel"}
+_VELOCITY = {"v", "qd", "dq", "qp", "qdot", "vel", "velocity", "velocities", "speed", "omega", "refv", "drehzahl",
+             "geschwindigkeit", "vitesse"}
+_TORQUE = {"tau", "torque", "torques", "effort", "efforts", "eff", "trq", "jtrq", "moment", "ff", "feedforward", "drehmoment",
+           "motormoment", "istmoment", "couple"}
 FORCE = {"force", "forces", "kraft", "thrust"}  # of joints that slide: elsewhere they are a sensor's at the tool
 _FORWARD = {"ff", "feedforward"}
-_REFERENCE = {"ref", "reference", "refv", "des", "desired", "cmd", "command", "commanded", "set", "setpoint", "target", "sp"}
+_REFERENCE = {"ref", "reference", "refv", "des", "desired", "cmd", "command", "commanded", "set", "setpoint", "target", "sp",
+              "soll", "sollposition", "sollwinkel", "consigne"}
 _LINK = {"link", "load", "output", "secondary"}
 _CURRENT = {"current", "currents", "amp", "amps", "macur"}
 _OTHER = {"qdd", "ddq", "qddot", "ddot", "acc", "accel", "acceleration", "temp", "temperature", "voltage",
           # what controllers log beside the measured signals
           "limit", "limits", "error", "err", "friction", "external", "ext", "control"}
 _NOISE = {"joint", "joints", "axis", "motor", "act", "actual", "meas", "measured", "data", "log", "state", "states", "arm", "robot",
-          "drive", "achse", "per", "dot", "j", "m", "n", "s", "rad", "nm"}
-_TIMES = {"time", "t", "timestamp", "stamp", "times", "clock", "seconds", "secs", "sec", "zeit", "datetime"}
+          "drive", "achse", "axe", "ist", "per", "dot", "j", "m", "n", "s", "rad", "nm"}
+_TIMES = {"time", "t", "timestamp", "stamp", "times", "clock", "seconds", "secs", "sec", "zeit", "zeitstempel", "temps", "datetime"}
 # fmt: on
 
 
@@ -69,9 +72,31 @@ def signal_of(words: Sequence[str]) -> tuple[str | None, list[str]]:
         return ("link_position" if kinds & _POSITION or not kinds & {"load", "output"} else None), left
     if wanted:
         return "reference_position", left
-    # such as AxisAct.A1 [deg]
-    by_unit = kinds & {"deg", "degree", "degrees", "rad"} and not kinds & {"s", "per", "dot"} and set(left) <= {"a"}
-    return ("motor_position" if kinds & _POSITION or by_unit else None), left
+    if kinds & _POSITION:
+        return "motor_position", left
+    return _by_unit(words, left), left
+
+
+def _by_unit(words: Sequence[str], left: Sequence[str]) -> str | None:
+    """The signal that a unit tells where a name says nothing else: `AxisAct.A1 [deg]`, `M1 [Nm]`, `I1 [A]`; None: none."""
+    kinds = set(words)
+    if kinds & {"s", "per", "dot", "min", "h"}:
+        return None
+    if (kinds & {"deg", "degree", "degrees", "grad", "rad"} or {"axis", "act"} <= kinds) and set(left) <= {"a"}:
+        return "motor_position"
+    letters = [w for w in words if not w.isdigit()]
+    if len(letters) == 1:  # a joint's name and a unit
+        return {"mm": "motor_position", "nm": "torque", "mnm": "torque", "knm": "torque"}.get(letters[0])
+    return _OF_LETTERS.get(tuple(letters))
+
+
+# names of one letter with their units
+_OF_LETTERS: dict[tuple[str, ...], str] = {
+    **{("i", u): "motor_current" for u in ("a", "ma")},
+    **{(x, u): "torque" for x in "mt" for u in ("nm", "mnm", "knm")},
+    **{("f", u): "torque" for u in ("n", "kn")},
+    **{(x, "mm"): "motor_position" for x in "jaq"},
+}
 
 
 def unnumbered(name: str) -> tuple[str, ...]:

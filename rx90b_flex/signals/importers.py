@@ -375,11 +375,12 @@ class _Import:
             return _Column(name, role, joint, "sure", 1.0, 0) if joint in joints else None
         for joint in sorted(joints, key=len, reverse=True):  # shoulder_pan before shoulder
             place = find_words(words_of(joint), words)
-            if place is not None:
+            # where columns count from 0, the second one is no joint 1
+            if place is not None and not (from_zero and words_of(joint)[-1].isdigit()):
                 rest = words[: place[0]] + words[place[1] :]
                 break
         else:
-            number, among = self._number_in(name), self.options.joints or joints
+            number, among = _last_number(words), self.options.joints or joints
             index = 0 if number is None else number if from_zero else number - 1
             named = self._named.get(number) if number is not None and not self.options.joints else None
             if named is None and (not 0 <= index < len(among) or (number is None and len(among) != 1)):
@@ -389,6 +390,8 @@ class _Import:
         if self.axes.prismatic and self.axes.prismatic[joints.index(joint)]:
             rest = ["torque" if w in FORCE else w for w in rest]
         signal, left = signal_of(rest)
+        if signal is None:  # perhaps the unit in the row below tells
+            signal, left = signal_of([*rest, *words_of(self.log.units.get(name, ""))])
         if signal is None:
             return None
         if foreign := foreign_unit(name):
@@ -427,8 +430,7 @@ class _Import:
         words = words_of(name)
         if any(find_words(words_of(joint), words) for joint in self.axes.joints):
             return None
-        numbers = [int(w) for w in words if w.isdigit()]
-        return numbers[-1] if numbers else None
+        return _last_number(words)
 
     def _complete(self, places: Mapping[str, list[_Column]]) -> tuple[tuple[str, ...], dict[str, list[_Column]]]:
         """The joints that have position and torque, and the signals that all of these have."""
@@ -756,3 +758,8 @@ def _split(whole: Recording) -> tuple[Recording, ...]:
 
 def _unique(names: Sequence[str]) -> list[str]:
     return [f"{n}_{names[: k + 1].count(n)}" if names.count(n) > 1 else n for k, n in enumerate(names)]
+
+
+def _last_number(words: Sequence[str]) -> int | None:
+    numbers = [int(w) for w in words if w.isdigit()]
+    return numbers[-1] if numbers else None

@@ -9,7 +9,7 @@ import numpy as np
 
 DEGREE = np.pi / 180.0
 # fmt: off
-ANGLE_UNITS = {"deg": DEGREE, "degs": DEGREE, "degree": DEGREE, "degrees": DEGREE, "dps": DEGREE, "mrad": 1e-3,
+ANGLE_UNITS = {"deg": DEGREE, "degs": DEGREE, "degree": DEGREE, "degrees": DEGREE, "grad": DEGREE, "dps": DEGREE, "mrad": 1e-3,
                "rpm": 2 * np.pi / 60, "rev": 2 * np.pi, "revs": 2 * np.pi, "turns": 2 * np.pi,
                "mm": 1e-3, "cm": 1e-2}  # of joints that slide
 TORQUE_UNITS = {"nmm": 1e-3, "ncm": 1e-2, "mnm": 1e-3, "knm": 1e3, "kn": 1e3}
@@ -28,7 +28,6 @@ _FOREIGN = {
     "percent",
     "pu",
     "gon",
-    "grad",
     "danm",
     "kgfcm",
     "kgfm",
@@ -63,8 +62,10 @@ def foreign_unit(name: str) -> str | None:
 def unit_in_name(signal: str, words: Sequence[str]) -> float | None:
     """What brings a column to SI; None where its name says no unit."""
     units = TORQUE_UNITS if "torque" in signal else ANGLE_UNITS
-    found = [units[w] for w in words if w in units]
-    return found[0] if found else 1.0 if {"rad", "nm"} & set(words) else None
+    found = [units[w] for w in words if w in units] + [1.0] * bool({"rad", "nm"} & set(words))
+    if "velocity" in signal and "min" in words:  # U/min, 1/min, deg/min; rpm has it in its name
+        return (found[0] if found else ANGLE_UNITS["rev"]) / 60.0
+    return found[0] if found else None
 
 
 def unit_in_row(signal: str, text: str) -> float | None:

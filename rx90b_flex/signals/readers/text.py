@@ -21,10 +21,13 @@ from rx90b_flex.signals.units import are_units
 COMMENTS = ("#", "%", "//")
 SEPARATORS = (",", ";", "\t", "|", " ")
 _WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
-# ISO 8601, as pandas and most loggers write dates with times
+# ISO 8601, as pandas and most loggers write dates with times; 31.12.2025 for the date; a time of day alone
 _STAMP = re.compile(
-    r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,9})\d*)?\s*(?:Z|UTC|([+-])(\d\d):?(\d\d))?", re.ASCII
+    r"(?:(\d{4}-\d\d-\d\d)[T ]|(\d\d)\.(\d\d)\.(\d{4})[T ]+)?"
+    r"(\d\d:\d\d:\d\d)(?:[.,](\d{1,9})\d*)?\s*(?:Z|UTC|([+-])(\d\d):?(\d\d))?",
+    re.ASCII,
 )
+_EXCEL = re.compile(r"\ufeff?\"?sep=.\"?\s*")  # a first line that tells Excel the separator
 
 
 class TextReader(Reader):
@@ -35,7 +38,8 @@ class TextReader(Reader):
     def read(self, path: Path) -> Log:
         raw = path.read_bytes()
         text, assumed = _decoded(path, gzip.decompress(raw) if path.name.lower().endswith(".gz") else raw)
-        lines = _without_comments([line for line in text.splitlines() if line.strip()])
+        lines = [line.lstrip("\ufeff") for line in text.splitlines() if line.strip()]
+        lines = _without_comments(lines[1:] if lines and _EXCEL.fullmatch(lines[0]) else lines)
         if len(lines) < 2:
             raise ValueError(f"{path}: {len(lines)} lines; expected a line of column names and rows of numbers")
         separator = _separator(lines)
@@ -169,7 +173,8 @@ def _nanoseconds(found: re.Match[str] | None) -> int:
     """Since 1970; TypeError without a match, ValueError for a day or hour that does not exist."""
     if found is None:
         raise TypeError
-    day, clock, fraction, sign, hours, minutes = found.groups()
+    iso, day_of_month, month, year, clock, fraction, sign, hours, minutes = found.groups()
+    day = iso or (f"{year}-{month}-{day_of_month}" if year else "1970-01-01")
     whole = datetime.datetime.fromisoformat(f"{day}T{clock}") - datetime.datetime(1970, 1, 1)
     zone = int(f"{sign}1") * (60 * int(hours) + int(minutes)) * 60 if sign else 0
     return (whole.days * 86400 + whole.seconds - zone) * 10**9 + int((fraction or "0").ljust(9, "0"))
