@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -29,6 +30,8 @@ from test_check import (
 )  # fmt: skip
 
 import rx90b_flex as rf
+from rx90b_flex.diagnose.residual import unlike_words
+from rx90b_flex.view.check_report import facts_words
 
 Change = Callable[[Runs], Runs]
 
@@ -102,3 +105,75 @@ def test_a_sign_of_one_log_is_told_though_it_bends_the_fit_to_all_of_them(tmp_pa
     (fault,) = checked(tmp_path, in_one(sound(), which, lambda r: with_torques(r, scaled(LIFT, -1.0)))).data_faults
     assert (fault.kind, fault.joints) == ("reversed_sign", (JOINTS[LIFT],))
     assert f"log_{which + 1}" in fault.message
+
+
+@pytest.mark.parametrize("joint", [PAN, pytest.param(WRIST_1, marks=pytest.mark.slow)])
+def test_a_torque_that_keeps_one_value_while_its_joint_moves_on_is_named(tmp_path: Path, joint: int) -> None:
+    def held(torque: np.ndarray) -> np.ndarray:
+        torque[300:360, joint] = torque[300, joint]
+        return torque
+
+    (fault,) = checked(tmp_path, in_one(sound(), 1, lambda r: with_torques(r, held))).data_faults
+    assert (fault.kind, fault.signal, fault.joints, fault.rows) == ("stuck", "torque", (JOINTS[joint],), (301,))
+    assert "log_2" in fault.message
+
+
+def test_a_torque_in_coarse_steps_is_not_called_stuck(tmp_path: Path) -> None:
+    """Of a drive that reports a hundredth of its largest torque."""
+
+    def coarse(torque: np.ndarray) -> np.ndarray:
+        step = 0.01 * np.abs(torque).max(axis=0)
+        return np.round(torque / step) * step
+
+    assert "stuck" not in {f.kind for f in checked(tmp_path, with_torques(sound(), coarse)).data_faults}
+
+
+@pytest.mark.slow
+def test_a_torque_that_is_late_in_one_log_is_named_with_it(tmp_path: Path) -> None:
+    def late(torque: np.ndarray) -> np.ndarray:
+        torque[:, ELBOW] = np.roll(torque[:, ELBOW], 9)
+        return torque
+
+    (fault,) = checked(tmp_path, in_one(sound(), 0, lambda r: with_torques(r, late))).data_faults
+    assert (fault.kind, fault.joints) == ("time_shift", (JOINTS[ELBOW],))
+    assert fault.factor == pytest.approx(0.09, abs=0.02)
+    assert "log_1" in fault.message
+
+
+def test_every_torque_of_one_log_in_another_unit_is_one_fault(tmp_path: Path) -> None:
+    (fault,) = checked(tmp_path, in_one(sound(), 1, lambda r: with_torques(r, lambda t: 1000.0 * t))).data_faults
+    assert (fault.kind, set(fault.joints), fault.factor) == (
+        "torque_gain",
+        set(JOINTS),
+        pytest.approx(1000.0, rel=0.02),
+    )
+    assert "log_2" in fault.message and not fault.usable
+
+
+def test_what_the_loop_leaves_of_one_recording_alone_is_said() -> None:
+    rng = np.random.default_rng(0)
+    torque = [rng.normal(size=(500, 2)) for _ in range(3)]
+    left = [tau - size * rng.normal(size=tau.shape) for tau, size in zip(torque, (0.01, 0.2, 0.02), strict=True)]
+    (text,) = unlike_words(["a.csv", "b.csv", "c.csv"], torque, left)
+    assert text.startswith("Of b.csv 0.19 of the torques are left, of the other recordings 0.02")
+    assert unlike_words(["a.csv", "c.csv"], torque[::2], left[::2]) == ()
+
+
+def test_a_period_that_the_motion_does_not_keep_is_told_and_is_no_noise(tmp_path: Path) -> None:
+    path = ind.write_files(tmp_path, ARM, DECLARED, repeated(), cutoff_hz=CUTOFF_HZ)
+    good = rf.check(path)
+    path.write_text(re.sub(r"period_s = [\d.]+", "period_s = 7.3", path.read_text()))
+    wrong = rf.check(path)
+    assert wrong.noise_floor == pytest.approx(good.noise_floor, rel=0.05)
+    assert {r.stated_period_s for r in wrong.recordings} == {7.3}
+    assert any("does not repeat after period_s = 7.3 s; it does after 10 s" in text for text in facts_words(wrong))
+    assert not any("repeat" in text for text in facts_words(good))
+
+
+def repeated() -> Runs:
+    rng = np.random.default_rng(0)
+    runs = []
+    for role in ("identification", "validation"):
+        m = ind.harmonics(rng, 6, period_s=10.0, periods=2, rate_hz=100.0)
+        runs.append(ind.run(ARM, role, m, [], ind.white(rng, len(m.time), (0.5,) * 6), 10.0))
+    return runs

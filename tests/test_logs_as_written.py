@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from test_importers import AXES, ROBOT, SAMPLES, TAU, TIME, Q, numbered, said, table, whole
+from test_importers import AXES, ROBOT, SAMPLES, TAU, TIME, Q, V, numbered, said, table, whole
 
 from rx90b_flex.identify.camera_command import read_markers
 from rx90b_flex.importing import import_into
 from rx90b_flex.path.measured import read_measured
 from rx90b_flex.robot import load_robot
 from rx90b_flex.signals import load_campaign
-from rx90b_flex.signals.importers import ReadingOptions, import_logs
+from rx90b_flex.signals.importers import Axes, ReadingOptions, import_logs
 from rx90b_flex.signals.tables import read_table
 from rx90b_flex.signals.units import unit_in_row, words_of
 from rx90b_flex.simulate.command import read_trajectory
@@ -187,3 +187,60 @@ def test_names_of_controllers_are_understood(tmp_path: Path, position: str) -> N
     names = [position.format(k) for k in (1, 2, 3)] + [f"JTRQ{k}" for k in (1, 2, 3)]
     table(["time", *names], TIME, np.rad2deg(Q), TAU).to_csv(tmp_path / "run.csv", index=False)
     check(tmp_path / "run.csv")
+
+
+@pytest.mark.parametrize(
+    ("time", "position", "torque"),
+    [
+        ("Zeit", "Istposition_A{}", "Motormoment_A{}"),
+        ("Zeitstempel [s]", "Drehwinkel_J{} [rad]", "Drehmoment_J{}_Nm"),
+        ("Temps (s)", "Position axe {} (rad)", "Couple axe {} (N.m)"),
+        ("Time", "$AXIS_ACT_MEAS.A{}", "$TORQUE_AXIS_ACT[{}]"),
+        ("t [s]", "q{} [rad]", "M{} [Nm]"),
+    ],
+)  # fmt: skip
+def test_names_of_other_tongues_and_units_are_understood(tmp_path: Path, time: str, position: str, torque: str) -> None:
+    names = [time, *(name.format(k) for name in (position, torque) for k in (1, 2, 3))]
+    check(written(tmp_path / "run.csv", names=",".join(f'"{n}"' for n in names)))
+
+
+def test_columns_that_count_from_zero_are_not_those_of_a_joint_that_is_called_1(tmp_path: Path) -> None:
+    axes = Axes(("j1", "j2", "j3"), AXES.lower, AXES.upper)
+    names = ["time", *(f"{stem}[{k}]" for stem in ("q", "tau_J") for k in range(3))]
+    imported = import_logs([written(tmp_path / "run.csv", names=",".join(names))], axes)
+    np.testing.assert_allclose(whole(imported, "position"), Q, atol=1e-12)
+    np.testing.assert_allclose(whole(imported, "torque"), TAU, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("unit", "scale"),
+    [("U/min", 30 / np.pi), ("1/min", 30 / np.pi), ("rpm", 30 / np.pi), ("deg/min", 60 * 180 / np.pi)],
+)
+def test_speeds_by_the_minute_are_brought_to_the_second(tmp_path: Path, unit: str, scale: float) -> None:
+    path = tmp_path / "run.csv"
+    speed = [f"speed {k} [{unit}]" for k in (1, 2, 3)]
+    table([*NAMES, *speed], TIME, Q, TAU, scale * V).to_csv(path, index=False)
+    np.testing.assert_allclose(whole(import_logs([path], AXES), "velocity"), V, atol=1e-9)
+
+
+def test_currents_and_slides_are_known_by_their_units(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    names = ["time", "J1 [deg]", "J2 [deg]", "J3 [mm]", "T1 [Nm]", "T2 [Nm]", "F3 [N]", "I1 [A]", "I2 [A]", "I3 [A]"]
+    position = Q * [180 / np.pi, 180 / np.pi, 1e3]
+    table(names, TIME, position, TAU, 0.1 * TAU).to_csv(path, index=False)
+    axes = Axes(AXES.joints, AXES.lower, AXES.upper, (False, False, True))
+    imported = import_logs([path], axes)
+    for field, expected in (("position", Q), ("torque", TAU)):
+        np.testing.assert_allclose(whole(imported, field), expected, atol=1e-9)
+    table([*names[:4], *names[7:]], TIME, position, 0.1 * TAU).to_csv(path, index=False)
+    assert "no torques, but currents" in said(import_logs([path], axes))
+
+
+def test_the_separator_that_excel_is_told_is_no_row(tmp_path: Path) -> None:
+    check(written(tmp_path / "run.csv", before="sep=,\n"))
+
+
+@pytest.mark.parametrize("style", ["%d.%m.%Y %H:%M:%S.%f", "%H:%M:%S.%f"])
+def test_german_dates_and_times_of_day_are_seconds_from_the_first(tmp_path: Path, style: str) -> None:
+    stamps = pd.Timestamp("2026-03-02 10:11:12") + pd.to_timedelta(TIME, unit="s")
+    check(written(tmp_path / "run.csv", t=stamps.strftime(style)))

@@ -46,6 +46,7 @@ _SQUARED = re.compile(r"\^?2|²|/s/s")
 def words_of(name: str) -> list[str]:
     """`jointPos_1 [deg]` gives joint, pos, 1, deg; the degree sign is a word, too."""
     plain = name.replace("°", " deg ").replace("µ", "u").replace("μ", "u")
+    plain = re.sub(r"(?<![A-Za-z\d])(?:1|u|rev)\s*/\s*min(?![a-z])", "rpm", plain, flags=re.IGNORECASE)
     # a newton and a metre, with whatever stands between them, are one word
     metres = re.sub(r"(?<![A-Za-z])([mk]?)N[ ·⋅*.]?([cm]?m)(?![A-Za-z])", r"\1n\2", plain)
     joined = re.sub(r"(?<![A-Za-z])([mk])N(?=m|(?![A-Za-z]))", r"\1n", metres)
@@ -63,8 +64,8 @@ def unit_in_name(signal: str, words: Sequence[str]) -> float | None:
     """What brings a column to SI; None where its name says no unit."""
     units = TORQUE_UNITS if "torque" in signal else ANGLE_UNITS
     found = [units[w] for w in words if w in units] + [1.0] * bool({"rad", "nm"} & set(words))
-    if "velocity" in signal and "min" in words:  # U/min, 1/min, deg/min; rpm has it in its name
-        return (found[0] if found else ANGLE_UNITS["rev"]) / 60.0
+    if "velocity" in signal and "min" in words and found:
+        return found[0] / 60.0
     return found[0] if found else None
 
 

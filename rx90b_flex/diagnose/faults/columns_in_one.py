@@ -15,9 +15,11 @@ from rx90b_flex.diagnose.faults.rigid_fit import FLOOR
 from rx90b_flex.diagnose.faults.sample import Reading
 from rx90b_flex.diagnose.faults.swapped import WHAT
 from rx90b_flex.diagnose.faults.units import ANGLES
+from rx90b_flex.diagnose.faults.warm import of_friction
 from rx90b_flex.effects.motion import Array
 
 APART = 4.0  # summed log error that a recording's own fit leaves less than that to the others: one of them is unlike the rest
+UNLIKE = 3.0  # the same by which the others predict one recording worse than another: it is unlike them by itself, too
 WORST = 1.0  # the same by which one is predicted better by the others than that which is predicted worst, and still may be it
 BETTER = 0.5  # summed log error that one recording leaves less with the fit to the others, if it is read otherwise
 A_LITTLE = (-0.25, -0.08, 0.08, 0.25)  # rad, beside the larger zeros
@@ -108,8 +110,8 @@ def name_of(look: Look, recording: int) -> str:
 
 
 def standing_apart(look: Look) -> list[int]:
-    """Recordings that the fit to the others predicts worst, where any goes much better by itself: one that is unlike bends the
-    others' fits.
+    """Recordings that the fit to the others predicts worst, where that is far worse than one of the rest, or any goes much better by
+    itself: one that is unlike bends the others' fits. None that is only warmer.
     """
     if len(look.sample.tracks) < 2 or any(log.other_load for log in look.reading.logs):
         return []
@@ -117,7 +119,9 @@ def standing_apart(look: Look) -> list[int]:
         np.log(np.diagonal(_errors(look, x), axis1=1, axis2=2) + FLOOR).sum(axis=1)
         for x in (look.predicted_by_others, look.predicted_by_own)
     )
-    return np.flatnonzero(others > others.max() - WORST).tolist() if (others - own).max() > APART else []
+    if not ((others - own).max() > APART or np.ptp(others) > UNLIKE):
+        return []
+    return np.flatnonzero((others > others.max() - WORST) & ~of_friction(look).warm).tolist()
 
 
 def _errors(look: Look, predicted: Array) -> Array:

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from rx90b_flex.diagnose.faults.columns_in_one import name_of
 from rx90b_flex.diagnose.faults.look import Hypothesis, Look
-from rx90b_flex.diagnose.faults.rigid_fit import FRICTION, IMPOSSIBLE, PER_JOINT
+from rx90b_flex.diagnose.faults.rigid_fit import IMPOSSIBLE
 from rx90b_flex.diagnose.faults.sample import Reading
+from rx90b_flex.diagnose.faults.warm import of_friction, rubs
 from rx90b_flex.effects.motion import Array, Mask
 
 OTHER = 1.1  # times what the other recordings ask for, from which a torque is looked at
 ALIKE = 1.6  # times that all torques of a recording differ: then they have another unit together
 WITHIN = 1.6  # times a first guess of a factor
-AS_WELL, WITH_OTHERS = 1.1, 2.5  # of the squared error with a torque scaled, up to which its friction explains as much
-MOSTLY = 0.5  # of a recording's squared error that another friction of its joints leaves: it is no other load
 AGAINST = 0.3  # correlation of velocity and torque: so much in all recordings, and so much against it in one
 
 
@@ -45,7 +43,7 @@ def scaled_in_one(look: Look) -> Iterator[Hypothesis]:
             and abs(np.log(np.median(own))) > np.log(ALIKE)
         ):
             yield _scaled(look, r, range(len(own)), float(np.median(own)))
-    friction = _of_friction(look) if places else None
+    friction = of_friction(look) if places else None
     for r, k, ratio in places:
         if friction is not None and friction.explains(r, k):
             continue
@@ -57,10 +55,7 @@ def other_loads(look: Look) -> Iterator[Hypothesis]:
     """Another load on the flange in one recording."""
     if len(look.sample.tracks) < 2 or any(log.other_load for log in look.reading.logs):
         return
-    friction = _of_friction(look)
-    spread = look.measured().var(axis=0) + 1e-300
-    warm = (friction.left / spread).sum(axis=1) < MOSTLY * (friction.left_now / spread).sum(axis=1)
-    for r in np.flatnonzero(~warm).tolist():
+    for r in np.flatnonzero(~of_friction(look).warm).tolist():
         text = (
             f"{name_of(look, r)} was made with another load than the other recordings: state what each had on the flange, with "
             "`payload` in its [[recording]]."
@@ -69,51 +64,12 @@ def other_loads(look: Look) -> Iterator[Hypothesis]:
         yield dataclasses.replace(Hypothesis.of("kinematics", None, (), text, reading), usable=True)
 
 
-class _OfFriction(NamedTuple):
-    """Squared error of each recording and joint, (recordings, joints), N^2 m^2."""
-
-    left_now: Array
-    left_of_all: Array  # with the joint's torque times what fits that recording best
-    left: Array  # with its friction alone so
-
-    def explains(self, recording: int, joint: int) -> bool:
-        """Whether friction does as well as the whole torque; less well where that of most joints is another, too."""
-        alike = float((self.left < MOSTLY * self.left_now)[recording].mean())
-        room = AS_WELL if alike <= 0.5 else WITH_OTHERS
-        return bool(self.left[recording, joint] < room * self.left_of_all[recording, joint])
-
-
-def _of_friction(look: Look) -> _OfFriction:
-    """Whether a recording that stands apart has another friction: a robot is warmer in one than in another."""
-    sample = look.sample
-    measured, predicted = look.measured(), look.predicted_by_others
-    rubs = _rubs(look, look.theta_by_others)
-
-    def left(part: Array) -> Array:
-        out = []
-        for span in sample.spans:
-            rest, some = (measured - predicted + part)[span], part[span]
-            factor = (some * rest).sum(axis=0) / np.maximum((some**2).sum(axis=0), 1e-300)
-            out.append(((rest - factor * some) ** 2).mean(axis=0))
-        return np.array(out)
-
-    now = np.array([((measured - predicted)[span] ** 2).mean(axis=0) for span in sample.spans])
-    return _OfFriction(now, left(predicted), left(rubs))
-
-
-def _rubs(look: Look, theta: Array) -> Array:
-    """Basic friction of a fit's parameters at each row (R, p), or at all of them (1, p); (R, joints), N m."""
-    columns, links = look.columns(look.reading), look.reading.links
-    own = [[links + PER_JOINT * j + i for i in FRICTION] for j in range(len(look.sample.joints))]
-    return np.stack([(columns[:, j, at] * theta[:, at]).sum(axis=1) for j, at in enumerate(own)], axis=1)
-
-
 def _driven_in_one(look: Look) -> Mask:
     """Where the torque, and what of it the links do not ask for, drives a joint, while both brake it in every other recording;
     (recordings, joints).
     """
     sample, reading = look.sample, look.reading
-    resisting = look.measured() - look.predicted() + _rubs(look, look.fit().theta.mean(axis=0, keepdims=True))
+    resisting = look.measured() - look.predicted() + rubs(look, look.fit().theta.mean(axis=0, keepdims=True))
     velocity = sample.seen(reading)[1] * sample.left_seen(reading)
     along = np.array([_along(sample.spans, velocity, x) for x in (resisting, look.measured())])
     drives, brakes = along.max(axis=(0, 1)), along.min(axis=(0, 1))
