@@ -504,12 +504,6 @@ class _Ended:
         scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
         rest = (where, doubtful, spread, happened, bool(drifts or seldom), self._curved)
         remains = Remains(campaign.joints, found, before, after, floor, known, *rest)
-        said = (
-            *_sensor_words(declared, model),
-            *_held_words(model),
-            *self._beyond_fitted(predictions),
-            *_before_moves(predictions),
-        )
         tell("done", 1.0)
         return ClosedLoop(
             before,
@@ -535,7 +529,7 @@ class _Ended:
                 *links_off,
                 *constants,
                 *beyond,
-                *said,
+                *self._said(predictions),
                 *_event_words(happened, campaign.joints, known, after.validation),
                 *(s.words for s in seldom),
                 *(s.words for s in drifts if floor is None or remains.left),
@@ -566,6 +560,12 @@ class _Ended:
         found = beyond_model([r.torque for r in replays], predicted, rates)
         return () if found is None else (found.words,)
 
+    def _said(self, predictions: Sequence[Prediction]) -> tuple[str, ...]:
+        """What signals and recordings ask to be said."""
+        declared, model = self.declared.identified, self.standing.model.identified
+        words = _sensor_words(declared, model), _held_words(model), self._beyond_fitted(), _before_moves(predictions)
+        return *(text for each in words for text in each), *self._unlike(predictions)
+
     def _unlike(self, predictions: Sequence[Prediction]) -> tuple[str, ...]:
         """Whether one recording, fitted or held out, was made otherwise than the others."""
         fitted, model = self.residual.data.identification, self.standing.model.possible
@@ -573,8 +573,8 @@ class _Ended:
         torque = [*(r.torque for r in fitted), *(p.torque for p in predictions)]
         return unlike_words(names, torque, [*(predict(r, model) for r in fitted), *(p.after for p in predictions)])
 
-    def _beyond_fitted(self, predictions: Sequence[Prediction]) -> tuple[str, ...]:
-        """Where what is left is error of extrapolation, or of one recording that was made otherwise."""
+    def _beyond_fitted(self) -> tuple[str, ...]:
+        """Where what is left is error of extrapolation."""
         data, model = self.residual.data, self.standing.model
         fitted, held_out = (
             {"positions": np.concatenate([r.position for r in x]), "speeds": np.concatenate([r.velocity for r in x])}
@@ -582,7 +582,7 @@ class _Ended:
         )
         left = [r.torque - predicted for r, predicted in zip(data.validation, model.validation, strict=True)]
         told = np.where(np.concatenate([r.waiting for r in data.validation]), 0.0, np.concatenate(left))
-        return *beyond_fitted(self.residual.campaign.joints, fitted, held_out, told), *self._unlike(predictions)
+        return beyond_fitted(self.residual.campaign.joints, fitted, held_out, told)
 
     def _if_links_are_off(self, left: float) -> tuple[tuple[str, ...], bool]:
         """What would be otherwise if links that are declared as known were fitted, and whether that puts the names in doubt.
