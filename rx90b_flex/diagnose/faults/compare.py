@@ -48,8 +48,9 @@ ON_TORQUES_ALONE = (reversed_torques, torque_gains, shifted, sample_rates)
 EXCHANGES = (swapped, exchanged_in_one)
 # looked at where errors are small, too: so they are with a few per cent of an angle
 RATIOS = (gear_ratios, angle_scales)
-# not looked for beside what drives may lack: that takes up a few per cent of an angle, and stands in all recordings alike
-NOT_BESIDE = (*RATIOS, zeros_in_one, rates_in_one)
+# not looked for beside what drives may lack: that takes up a few per cent of an angle, and fitted to the other recordings it says
+# little of one that goes further
+NOT_BESIDE = (*RATIOS, scaled_in_one, zeros_in_one, rates_in_one)
 GAIN = 1.0  # of the summed log error: a joint's squared error falls to 37 %, or several joints' a little less each
 MODEST = 0.5  # the same where the joints that gain end with a small error: a good model does not gain by chance
 SMALL = 0.15**2
