@@ -475,3 +475,13 @@ def test_bad_input_is_one_line_and_nothing_is_written(
     assert (found.status, found.out, found.err.count("\n")) == (2, "", 1)
     assert named in found.err
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+
+
+def test_a_robot_without_masses_is_said_to_be_one_that_cannot_move(tmp_path):
+    urdf = tmp_path / "light.urdf"
+    urdf.write_text(
+        '<robot name="light"><link name="a"/><link name="b"/><joint name="j" type="revolute"><parent link="a"/><child link="b"/>'
+        '<axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>'
+    )
+    done = rf.export_robot(urdf, tmp_path / "light.xml", "mjcf")
+    assert "no moving link has a mass" in str(done.lost[0])

@@ -9,7 +9,7 @@ from typing import Literal
 
 from rx90b_flex.effects import close_match
 from rx90b_flex.flexify import read_xml
-from rx90b_flex.robot import Robot, load_robot
+from rx90b_flex.robot import LINK_PARAMETERS, Robot, load_robot
 from rx90b_flex.signals.single import check_file, write_file
 from rx90b_flex.simulators.held import Lost, held_by
 from rx90b_flex.simulators.mjcf import MJCF, mjcf_text
@@ -42,6 +42,13 @@ def lost_followers(robot: Robot) -> tuple[Lost, ...]:
     return tuple(
         Lost(joint, f"follows {leader} where it is from; here it is fixed") for joint, leader in robot.followers
     )
+
+
+def lost_masses(robot: Robot) -> tuple[Lost, ...]:
+    """That no moving link has a mass: a file of such links can be looked at, not moved."""
+    if robot.link_parameters[:: len(LINK_PARAMETERS)].any():
+        return ()
+    return (Lost(robot.name, "no moving link has a mass in its URDF: a simulator cannot move it"),)
 
 
 def lost_dynamics(robot: Robot) -> tuple[Lost, ...]:
@@ -87,4 +94,5 @@ def export_robot(robot: Robot | str | os.PathLike[str], path: str | os.PathLike[
     held = held_by(robot, how)
     text, more = text_of(held)
     write_file(path, text)
-    return Exported(path, format, (*lost_followers(robot), *lost_dynamics(robot), *held.lost, *more))
+    lost = (*lost_masses(robot), *lost_followers(robot), *lost_dynamics(robot), *held.lost, *more)
+    return Exported(path, format, lost)
