@@ -155,6 +155,7 @@ def test_in_joint_angles_the_coupling_of_drive_and_link_is_in_stiffness_and_damp
     np.testing.assert_allclose(changed.frequencies_hz(), lin.frequencies_hz(), rtol=1e-6, atol=1e-2)
     hz = np.array([5.0, 30.0, 100.0])
     np.testing.assert_allclose(changed.frf(hz), lin.frf(hz), rtol=1e-9)
+    np.testing.assert_allclose(lin.frf(float(hz[0])), lin.frf(hz)[0], rtol=1e-12)
 
 
 def test_several_samples_are_refused():

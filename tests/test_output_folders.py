@@ -192,7 +192,12 @@ def test_a_file_of_another_kind_is_not_replaced(
         assert run() == 2
         assert f"{out}: a file that does not begin with <{kind}> is there" in capsys.readouterr().err
         assert out.read_text() == text and list(tmp_path.iterdir()) == [out]
-    for text in ("", f"\ufeff<?xml version='1.0'?>\n<!-- mine -->\n<{kind.upper()} name='a'/>"):
+    mine = f"\ufeff<?xml version='1.0'?>\n<!-- mine -->\n<{kind.upper()} name='a'/>"
+    if kind == "html":  # any report is one, too
+        out.write_text(mine)
+        assert run() == 2 and "a page that is no scene of rx90b-flex view is there" in capsys.readouterr().err
+        mine += '<meta name="generator" content="scene of rx90b-flex view">'
+    for text in ("", mine):
         out.write_text(text)
         assert run() == 0
     assert run() == 0 and f"<{kind}" in out.read_text()  # over a file of its own
