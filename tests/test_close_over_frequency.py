@@ -123,7 +123,7 @@ def test_a_folder_that_cannot_be_closed_is_refused_in_a_line(folder, monkeypatch
         ("modes.toml", ["--robot", "nobody"], "unknown robot 'nobody'"),
         ("modes.toml", ["--model-error", "-1"], "--model-error is -1"),
         ("broken.toml", [], "broken.toml: [[pose]] 1 'resonances': unknown key (did you mean 'resonance'"),
-        ("frf", ["--robot", "rx90b_3dof"], "a pose has shape (6,); expected 3 angles of rx90b_3dof"),
+        ("frf", ["--robot", "rx90b_3dof"], "a pose of the data has 6 angles, rx90b_3dof has 3 joints"),
         ("campaign.toml", ["--robot", "rx90b"], "--robot goes with a modal table"),
         ("missing.toml", ["--robot", "rx90b"], "missing.toml: no such file"),
         ("no_pose.toml", [], "no_pose.toml: [[pose]]: missing; one or more are expected"),

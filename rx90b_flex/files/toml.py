@@ -48,7 +48,9 @@ def read_toml(path: Path, what: str, missing: str = "") -> dict[str, Any]:
     except OSError as error:
         raise ValueError(f"{shortened(path)}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: no text in UTF-8 (byte {error.start + 1}); a {what} (TOML) is expected") from None
+        raise ValueError(
+            f"{path}: cannot be read: no text in UTF-8 (byte {error.start + 1}); a {what} (TOML) is expected"
+        ) from None
     except RecursionError:
         raise ValueError(f"{path}: not a TOML file that can be read: tables or arrays too deep in each other") from None
     except ValueError as error:  # the parser's own, and Python's on integers of thousands of digits
