@@ -27,6 +27,13 @@ _NOISE = {"joint", "joints", "axis", "motor", "act", "actual", "meas", "measured
           "drive", "achse", "axe", "ist", "per", "dot", "j", "m", "n", "s", "rad", "nm"}
 _TIMES = {"time", "t", "timestamp", "stamp", "times", "clock", "seconds", "secs", "sec", "zeit", "zeitstempel", "temps", "datetime"}
 # fmt: on
+# names of one letter with their units
+_OF_LETTERS: dict[tuple[str, ...], str] = {
+    **{("i", u): "motor_current" for u in ("a", "ma")},
+    **{(x, u): "torque" for x in "mt" for u in ("nm", "mnm", "knm")},
+    **{("f", u): "torque" for u in ("n", "kn")},
+    **{(x, "mm"): "motor_position" for x in "jaq"},
+}
 
 
 def time_words(name: str) -> list[str]:
@@ -88,15 +95,6 @@ def _by_unit(words: Sequence[str], left: Sequence[str]) -> str | None:
     if len(letters) == 1:  # a joint's name and a unit
         return {"mm": "motor_position", "nm": "torque", "mnm": "torque", "knm": "torque"}.get(letters[0])
     return _OF_LETTERS.get(tuple(letters))
-
-
-# names of one letter with their units
-_OF_LETTERS: dict[tuple[str, ...], str] = {
-    **{("i", u): "motor_current" for u in ("a", "ma")},
-    **{(x, u): "torque" for x in "mt" for u in ("nm", "mnm", "knm")},
-    **{("f", u): "torque" for u in ("n", "kn")},
-    **{(x, "mm"): "motor_position" for x in "jaq"},
-}
 
 
 def unnumbered(name: str) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from rx90b_flex.diagnose.faults.kinematics import ZEROS
 from rx90b_flex.diagnose.faults.look import Hypothesis, Look
-from rx90b_flex.diagnose.faults.rates import GRID, LEAST
+from rx90b_flex.diagnose.faults.rates import GRID, another_rate
 from rx90b_flex.diagnose.faults.rigid_fit import FLOOR
 from rx90b_flex.diagnose.faults.sample import Reading
 from rx90b_flex.diagnose.faults.swapped import WHAT
@@ -69,17 +69,7 @@ def rates_in_one(look: Look) -> Iterator[Hypothesis]:
         of_one = _OfOne(look, r)
         for factor in GRID:
             if of_one.gain(reading(factor)) > BETTER:
-                yield Hypothesis(
-                    "sample_rate",
-                    None,
-                    (),
-                    text,
-                    reading,
-                    factor,
-                    (factor / 1.6, factor * 1.6),
-                    smallest=LEAST,
-                    neutral=1.0,
-                )
+                yield another_rate(text, reading, factor)
 
 
 def units_in_one(look: Look) -> Iterator[Hypothesis]:
@@ -138,14 +128,10 @@ class _OfOne:
 
     def __init__(self, look: Look, recording: int) -> None:
         at = look.sample.spans[recording].start
-        self._theta, self._variance, self._which = (
-            look.theta_by_others[at],
-            look.measured().var(axis=0) + 1e-300,
-            recording,
-        )
-        self._alone = dataclasses.replace(
-            look, sample=look.sample.only(recording), _columns={}, _products={}, ratios={}
-        )
+        self._which, self._theta = recording, look.theta_by_others[at]
+        self._variance = look.measured().var(axis=0) + 1e-300
+        own = look.sample.only(recording)
+        self._alone = dataclasses.replace(look, sample=own, _columns={}, _products={}, ratios={})
         self._before = self._error(look.reading)
 
     def gain(self, reading: Reading) -> float:
@@ -198,14 +184,10 @@ def _zero(look: Look, r: int, k: int, angle: float) -> Hypothesis:
 
 
 def _unit(look: Look, r: int, chosen: list[int], unit: str, scale: float) -> Hypothesis:
-    present = look.reading
     joints = tuple(look.sample.joints[k] for k in chosen)
-    scales = list(present.logs[r].scale)
-    for k in chosen:
-        scales[present.order[k]] *= scale
     text = (
         f"The position of {', '.join(joints)} is in {unit} in {name_of(look, r)}, and not in the other recordings: bring it to SI "
         f"units (times {scale:.6g})."
     )
-    reading = present.changed_in(r, {"scale": tuple(scales)})
-    return dataclasses.replace(Hypothesis.of("unit", "motor_position", joints, text, reading), factor=1.0 / scale)
+    reading = look.reading.scaled_in(r, "scale", chosen, scale)
+    return Hypothesis.of("unit", "motor_position", joints, text, reading, 1.0 / scale)

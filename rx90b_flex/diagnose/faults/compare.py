@@ -31,23 +31,15 @@ KINDS: tuple[Callable[[Look], Iterator[Hypothesis]], ...] = (
 )  # fmt: skip
 # a joint's zero parallel to its neighbours' axes is taken up by free links, but not by those of the URDF
 ON_POSES = (
-    reversed_positions,
-    zeros,
-    zeros_in_one,
-    reversed_axes,
-    carried_motors,
-    gear_ratios,
-    angle_scales,
-    axes,
-    mountings,
-)
+    reversed_positions, zeros, zeros_in_one, reversed_axes, carried_motors, gear_ratios, angle_scales, axes, mountings,
+)  # fmt: skip
 BY_LINKS = (*ON_POSES, lengths, sample_rates)  # compared with these links, too
 # believed by them alone: other lengths are much like masses that are a little off
 BY_LINKS_ALONE = (*ON_POSES, sample_rates)
-ON_TORQUES_ALONE = (reversed_torques, torque_gains, shifted, sample_rates)
 EXCHANGES = (swapped, exchanged_in_one)
-# looked at where errors are small, too: so they are with a few per cent of an angle
 RATIOS = (gear_ratios, angle_scales)
+# looked at where errors are small, too: what is on torques alone, and a few per cent of an angle leave no large ones
+AT_SMALL_ERRORS = (reversed_torques, torque_gains, shifted, sample_rates, *RATIOS, zeros_in_one)
 # not looked for beside what drives may lack: that takes up a few per cent of an angle, and fitted to the other recordings it says
 # little of one that goes further
 NOT_BESIDE = (*RATIOS, scaled_in_one, zeros_in_one, rates_in_one)
@@ -284,9 +276,7 @@ def _promising(look: Look, everything: bool) -> list[tuple[float, int, Hypothesi
     bases = _Bases(look.thinned(THIN), first=True)
     out: list[tuple[float, int, Hypothesis]] = []
     for rank, kind in enumerate(KINDS):
-        if not (everything or kind in (*ON_TORQUES_ALONE, *RATIOS, zeros_in_one)) or (
-            look.with_effects and kind in NOT_BESIDE
-        ):
+        if not (everything or kind in AT_SMALL_ERRORS) or (look.with_effects and kind in NOT_BESIDE):
             continue
         tried = []
         for number, h in enumerate(kind(bases.look)):

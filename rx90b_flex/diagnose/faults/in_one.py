@@ -114,7 +114,7 @@ def _reversed(look: Look, name: str, recording: int, joint: int, evident: float)
     text = (
         f"The {what} of {said} has the wrong sign in {where}, and not in the other recordings: change it in that log."
     )
-    reading = look.reading.scaled_in(recording, name, joint, -1.0)
+    reading = look.reading.scaled_in(recording, name, [joint], -1.0)
     return dataclasses.replace(Hypothesis.of("reversed_sign", signal, (said,), text, reading), evident=evident)
 
 
@@ -122,10 +122,7 @@ def _scaled(look: Look, recording: int, joints: Sequence[int], factor: float) ->
     names, where = tuple(look.sample.joints[k] for k in joints), name_of(look, recording)
 
     def reading(factor: float) -> Reading:
-        out = look.reading
-        for k in joints:
-            out = out.scaled_in(recording, "torque_scale", k, 1.0 / factor)
-        return out
+        return look.reading.scaled_in(recording, "torque_scale", joints, 1.0 / factor)
 
     whose = names[0] if len(names) == 1 else "every joint"
     text = f"The torque of {whose} in {where} is <factor> times what it is in the other recordings: bring that log to their unit."

@@ -151,11 +151,12 @@ class Reading:
         logs[recording] = dataclasses.replace(logs[recording], **entries)
         return self.with_entries({"logs": tuple(logs)})
 
-    def scaled_in(self, recording: int, name: str, joint: int, factor: float) -> Reading:
-        """With one joint's `scale` or `torque_scale` so many times what it is in one log."""
+    def scaled_in(self, recording: int, name: str, joints: Collection[int], factor: float) -> Reading:
+        """With some joints' `scale` or `torque_scale` so many times what it is in one log."""
         order = self.order if name == "scale" else self.torque_order
         values = list(getattr(self.logs[recording], name))
-        values[order[joint]] *= factor
+        for joint in joints:
+            values[order[joint]] *= factor
         return self.changed_in(recording, {name: tuple(values)})
 
     def later(self, where: Mask, seconds: float) -> Reading:
