@@ -244,3 +244,23 @@ def test_the_separator_that_excel_is_told_is_no_row(tmp_path: Path) -> None:
 def test_german_dates_and_times_of_day_are_seconds_from_the_first(tmp_path: Path, style: str) -> None:
     stamps = pd.Timestamp("2026-03-02 10:11:12") + pd.to_timedelta(TIME, unit="s")
     check(written(tmp_path / "run.csv", t=stamps.strftime(style)))
+
+
+def test_columns_of_a_joint_that_is_not_there_are_told(tmp_path: Path) -> None:
+    names = ["t", *(f"{what}{k}" for what in ("q", "tau") for k in (1, 2, 3, 4))]
+    path = tmp_path / "run.csv"
+    table(names, TIME, np.c_[Q, Q[:, 0]], np.c_[TAU, TAU[:, 0]]).to_csv(path, index=False)
+    assert "left out, for joints are counted to 3: q4, tau4" in check(path)
+
+
+@pytest.mark.parametrize("asked", [False, True])
+def test_of_currents_and_torques_one_is_used_and_the_other_told(tmp_path: Path, asked: bool) -> None:
+    names = ["t", *numbered("q", "tau", "current")]
+    path = tmp_path / "run.csv"
+    table(names, TIME, Q, TAU, 2.0 * TAU).to_csv(path, index=False)
+    options = ReadingOptions(columns={"motor_current": numbered("current")} if asked else {})
+    imported = import_logs([path], AXES, options)
+    np.testing.assert_allclose(whole(imported, "torque"), 2.0 * TAU if asked else TAU)
+    left, used, of = ("torque", "currents", "tau") if asked else ("motor_current", "torques", "current")
+    assert f"{left}: left out, for {used} are used: {', '.join(numbered(of))}" in said(imported)
+    assert ("--columns motor_current=..." in said(imported)) == (not asked)

@@ -267,6 +267,7 @@ class _Import:
         self.log, self.axes, self.options = log, axes, options
         self.found = _Findings(Finding(note, "sure") for note in log.notes)
         self.found += [Finding(note, "likely") for note in log.assumed]
+        self._beyond: list[str] = []  # columns with the number of a joint that is not there
         time, time_name = self._time()
         joints, signals = self._complete(self._places(time_name))
         names = [c.name for columns in signals.values() for c in columns]
@@ -342,6 +343,9 @@ class _Import:
             column = self._column(name, unnumbered(name) in zeros)
             if column is not None and column.signal not in stated:
                 read.setdefault(column.signal, []).append(column)
+        if self._beyond:
+            count = len(self.options.joints or self.axes.joints)
+            self.found.add(f"left out, for joints are counted to {count}: {', '.join(self._beyond)}", "likely")
         for name in log.words:
             column = self._column(name, unnumbered(name) in zeros)
             if column is not None and column.signal in REQUIRED and column.signal not in stated:
@@ -384,6 +388,8 @@ class _Import:
             index = 0 if number is None else number if from_zero else number - 1
             named = self._named.get(number) if number is not None and not self.options.joints else None
             if named is None and (not 0 <= index < len(among) or (number is None and len(among) != 1)):
+                if number is not None and signal_of([w for w in words if not w.isdigit()])[0] in REQUIRED:
+                    self._beyond.append(name)
                 return None
             joint, sure = named or among[index], number is None or named is not None
             rest = [w for w in words if not w.isdigit()]
@@ -444,13 +450,12 @@ class _Import:
                         f"columns {other.name!r} and {column.name!r} can both be {signal} of {column.joint}; "
                         f"choose with --columns {signal}=..."
                     )
-        from_current = "torque" not in by_joint and "motor_current" in by_joint
+        from_current = self._from_current(by_joint)
         required = ("motor_position", "motor_current") if from_current else REQUIRED
         for signal in required:
             if not by_joint.get(signal):
                 raise self._nothing_found(signal)
-        if not from_current:
-            by_joint.pop("motor_current", None)
+        by_joint.pop("torque" if from_current else "motor_current", None)
         wanted = self.options.joints or self.axes.joints
         joints = tuple(j for j in wanted if all(j in by_joint[signal] for signal in required))
         if not joints:
@@ -480,6 +485,18 @@ class _Import:
         if without:
             self.found.add(f"held at zero, for they have no columns: {', '.join(without)}")
         return joints, signals
+
+    def _from_current(self, by_joint: Mapping[str, Mapping[str, _Column]]) -> bool:
+        """Whether torques come from currents: these are all there is, or the ones that were asked for."""
+        stated = self.options.columns
+        if "torque" in by_joint and "motor_current" in by_joint:
+            currents = "motor_current" in stated and "torque" not in stated
+            left, used = ("torque", "currents") if currents else ("motor_current", "torques")
+            names = ", ".join(c.name for c in by_joint[left].values())
+            choice = "" if stated.keys() & {"torque", "motor_current"} else "; --columns motor_current=... takes the currents"
+            self.found.add(f"{left}: left out, for {used} are used: {names}{choice}")
+            return currents
+        return "motor_current" in by_joint
 
     def _nothing_found(self, signal: str) -> ValueError:
         log, joints, hint = self.log, self.axes.joints, ""
