@@ -178,6 +178,22 @@ def test_known_links_are_kept(tmp_path: Path) -> None:
     assert sorted(e.name for e in found.parameters) == sorted(f"{j}.{p}" for j in ("shoulder", "elbow") for p in own)
 
 
+def test_drives_that_bend_without_a_stiffness_stay_so_and_it_is_said(result: Identified, tmp_path: Path) -> None:
+    path = campaign(tmp_path)
+    file = tmp_path / "robot_declared.toml"
+    for joint in ("shoulder", "elbow"):
+        file.write_text(file.read_text() + f'\n[[effects]]\ntype = "drive_flexibility"\njoint = "{joint}"\n')
+    bending = identify_campaign(path)
+    assert [(e.value, e.std) for e in bending.parameters] == [(e.value, e.std) for e in result.parameters]
+    assert any(
+        n.startswith("shoulder.drive_flexibility, elbow.drive_flexibility: declared without") for n in bending.cautions
+    )
+    (tmp_path / "out").mkdir()
+    write_identified(bending, tmp_path / "out")
+    exported = rf.load_robot(tmp_path / "out" / "robot.toml")
+    assert sum(e.type_name() == "drive_flexibility" for e in exported.effects) == 2
+
+
 def test_the_command_writes_a_report_that_opens_offline_and_json_without_nan(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -17,7 +17,7 @@ from two_inertias import Drive, simulate, write_campaign
 
 import rx90b_flex as rf
 from rx90b_flex.diagnose.deflection import GearDeflection, gear_deflections
-from rx90b_flex.diagnose.output import write_result
+from rx90b_flex.diagnose.output import closed_loop_robot, write_result
 from rx90b_flex.identify.deflection import agreement, play
 from rx90b_flex.identify.least_squares import identify
 from rx90b_flex.identify.regression import Regression
@@ -110,6 +110,17 @@ def test_a_flexibility_that_is_declared_is_measured_but_not_added(soft: Path, tm
     lanes = simulate(Drive(), np.random.default_rng(1), len(ROLES))
     (gear,) = looked_at(load_campaign(write_campaign(tmp_path, lanes, ROLES, declared)))
     assert gear.effect is None and gear.parameters and "declares this flexibility" in gear.message
+
+
+def test_a_declared_flexibility_without_a_stiffness_gets_one(soft: Path, tmp_path: Path) -> None:
+    lanes = simulate(Drive(), np.random.default_rng(1), len(ROLES))
+    declared = DECLARED + '[[effects]]\ntype = "drive_flexibility"\njoint = "swing"\n'
+    result = rf.close_loop(write_campaign(tmp_path, lanes, ROLES, declared))
+    assert isinstance(result, rf.ClosedLoop)
+    (own,) = (e for e in closed_loop_robot(result).effects if e.type_name() == "drive_flexibility")
+    assert own.coefficients[0] == pytest.approx(Drive().stiffness, rel=0.2)
+    assert result.after.validation.relative_error <= result.before.validation.relative_error
+    assert any("declared without a stiffness" in said for said in result.cautions)
 
 
 @pytest.mark.slow

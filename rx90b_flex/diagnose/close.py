@@ -50,6 +50,7 @@ from rx90b_flex.diagnose.verdict import Remains
 from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
 from rx90b_flex.early import check_jobs
 from rx90b_flex.effects import Effect
+from rx90b_flex.effects.flexibility import stiff_for_want_of_values
 from rx90b_flex.effects.motion import Array, Mask
 from rx90b_flex.files.toml import named_in
 from rx90b_flex.identify.least_squares import Estimate, Identification, identify
@@ -460,6 +461,7 @@ def _closed(
         (
             *(c.message for c in constants if c.source != "stated"),
             *scaled,
+            *stiff_for_want_of_values(declared.effects),
             *loop.stopped(ended.standing),
             *filter(None, [checked.torque_side.message]),
         ),

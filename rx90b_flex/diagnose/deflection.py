@@ -139,7 +139,7 @@ def gear_deflections(source: Robot, campaign: Campaign, model: Identification) -
         data = gears.gear_data(recordings, joint, cutoff, [t[:, place] for t in torques], turning)
         if data is None or not any(r.role == "identification" for r in data.runs):
             return GearDeflection(joint, f"{joint} moves too little for its second encoder to show its gear.")
-        judged = _judged(data, len(own), [*source.effects, *model.in_tree])
+        judged = _judged(data, len(own), source.effects, model.in_tree)
         spring = spring_words(model, joint) if turning else ""
         return dataclasses.replace(judged, message=f"{judged.message} {spring}".strip())
 
@@ -181,7 +181,9 @@ def _no_second(joint: str, ratio: float, widest: float) -> str:
 # ---- one gear -------------------------------------------------------------------------------------------------------
 
 
-def _judged(data: gears.GearData, tests: int, present: Sequence[Effect]) -> GearDeflection:
+def _judged(
+    data: gears.GearData, tests: int, declared: Sequence[Effect], identified: Sequence[Effect]
+) -> GearDeflection:
     fitted = data.only("identification")
     fit = gears.fit_gear(data).lawful()
     learned = gears.fit_gear(fitted).lawful()
@@ -192,17 +194,20 @@ def _judged(data: gears.GearData, tests: int, present: Sequence[Effect]) -> Gear
     )
     errors = {role: _errors(data.only(role), learned) for role in dict.fromkeys(r.role for r in data.runs)}
     carried = all(e.after < e.before for e in errors.values())
-    known = fit.compliance > KNOWN * fit.std("torque") and fit.strength > gears.WEAKEST
-    shown = trial.accepted and carried and known
+    sure = fit.compliance > KNOWN * fit.std("torque") and fit.strength > gears.WEAKEST
+    shown = trial.accepted and carried and sure
     comparisons = _comparisons(fit, tests) if shown else ()
     parameters = _parameters(fit) if shown else ()
-    declared = [e for e in present if "torsion" in e.traits.virtual and e.joints == (data.joint,)]
+    known, told = (
+        next((e for e in effects if "torsion" in e.traits.virtual and e.joints == (data.joint,)), None)
+        for effects in (declared, identified)
+    )
     effect = None
-    if shown and not declared:
+    if shown and known is None and told is None:
         stiffness, damping = (float(p.value or 0.0) for p in parameters)
         effect = DriveFlexibility(joint=data.joint, stiffness=stiffness, damping=damping)
     agree = gears.agreement([(c.value, c.std) for c in each]) if len(each) > 1 else np.nan
-    words = _words(fit, shown, bool(declared), comparisons)
+    words = _words(fit, shown, _beside(known, told), comparisons)
     return GearDeflection(data.joint, words, fit, errors, each, agree, trial, comparisons, effect, parameters)
 
 
@@ -297,7 +302,16 @@ def _comparisons(fit: gears.GearFit, tests: int) -> tuple[GearComparison, ...]:
     return tuple(sorted(out, key=lambda x: -x.gain_share))
 
 
-def _words(fit: gears.GearFit, shown: bool, declared: bool, comparisons: Sequence[GearComparison]) -> str:
+def _beside(declared: Effect | None, identified: Effect | None) -> str:
+    """What the robot file and the torques by themselves say of a flexibility that a second encoder shows."""
+    if declared is not None and declared.known:
+        return " The robot file declares this flexibility."
+    if identified is not None:
+        return f" The torques by themselves say {identified.coefficients[0]:.3g} N m/rad, which the robot takes."
+    return " The robot file declares this flexibility without a stiffness: it takes this one." if declared else ""
+
+
+def _words(fit: gears.GearFit, shown: bool, beside: str, comparisons: Sequence[GearComparison]) -> str:
     joint, lag = fit.data.joint, 1e3 * fit.data.lag_s
     late = f"Its second encoder is read {abs(lag):.2f} ms {'later' if lag > 0.0 else 'earlier'} than the motor's"
     if not shown:
@@ -309,9 +323,8 @@ def _words(fit: gears.GearFit, shown: bool, declared: bool, comparisons: Sequenc
     c, std = fit.compliance, fit.std("torque")
     more = [x.name for x in comparisons if x.shown]
     beyond = f" Beyond a straight line: {', '.join(more)}." if more else " Nothing beyond a straight line stands out."
-    declared_words = " The robot file declares this flexibility." if declared else ""
     return (
-        f"The gear of {joint} turns by {1e6 * c:.3g} ± {1e6 * std:.2g} µrad per N m ({1.0 / c:.3g} N m/rad).{declared_words} "
+        f"The gear of {joint} turns by {1e6 * c:.3g} ± {1e6 * std:.2g} µrad per N m ({1.0 / c:.3g} N m/rad).{beside} "
         f"{late}, viscous friction behind the gear included.{beyond}"
     )
 

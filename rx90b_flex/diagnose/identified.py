@@ -12,9 +12,10 @@ from rx90b_flex.robot import Robot
 
 def identified_robot(source: Robot, model: Identification, joints: Sequence[str]) -> Robot:
     """A declared robot with the values and effects of a model identified on some of its joints; see `closed_loop_robot`."""
-    flexible = [e for e in source.effects if e.on_rigid_tree() is None]
     values = with_possible_values(model)
     effects = values.in_tree
+    told = {e.label for e in effects}  # of these, declared without a value
+    flexible = [e for e in source.effects if e.on_rigid_tree() is None and e.label not in told]
     if not model.links_fitted:
         held = [e for e in source.effects if e not in flexible and not set(e.joints) <= set(joints)]
         return source.with_effects([*flexible, *held, *effects])

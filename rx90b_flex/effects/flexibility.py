@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -129,12 +129,22 @@ class DriveFlexibility(
     def everywhere(cls, sites: Sites) -> Sequence[Effect]:
         return [_DriveDeflection(joint=j) for j in sites.joints]
 
-    def on_rigid_tree(self) -> Effect:
-        """The deflection that the drive's own torque gives it; as stated where it has a stiffness, else to be identified."""
+    def on_rigid_tree(self) -> Effect | None:
+        """The deflection that the drive's own torque gives it; None, stiff, where it has no stiffness."""
         if self.stiffness is None:
-            return _DriveDeflection(joint=self.joint)
+            return None
         damping = DAMPING_TIME * self.stiffness if self.damping is None else self.damping
         return _StatedDeflection(joint=self.joint, stiffness=self.stiffness, damping=damping)
+
+
+def stiff_for_want_of_values(effects: Iterable[Effect]) -> list[str]:
+    """What is said of effects that bend, are declared without a value, and so stand for nothing where motors alone are measured."""
+    labels = ", ".join(e.label for e in effects if e.traits.virtual and e.on_rigid_tree() is None)
+    said = (
+        "declared without a stiffness and taken as stiff: torques of motors seldom tell one; frf does from responses, close-loop "
+        "from link_position, static from deflections under loads."
+    )
+    return [f"{labels}: {said}"] if labels else []
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,6 +14,7 @@ from scipy import linalg
 from threadpoolctl import threadpool_limits
 
 from rx90b_flex.bodies import Inconsistency, inconsistencies
+from rx90b_flex.effects.flexibility import stiff_for_want_of_values
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.export import save_robot, with_link_parameters
 from rx90b_flex.files.results import write_json
@@ -253,7 +254,12 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
         _error(kept) if kept else None,
         kept or fit,
         estimator.name(),
-        (*(c.message for c in constants), *scaled, *(w.message for w in wrong_sensors(campaign))),
+        (
+            *(c.message for c in constants),
+            *scaled,
+            *(w.message for w in wrong_sensors(campaign)),
+            *stiff_for_want_of_values(declared.effects),
+        ),
     )
 
 
@@ -421,7 +427,7 @@ def write_identified(result: Identified, folder: Path) -> None:
     # known links are written as they were given, even if no body could have them
     path = save_robot(result.robot, folder, allow_inconsistent=not result.model.links_fitted)
     again = load_robot(path)
-    scale = np.abs(result.robot.parameters).max()
+    scale = np.nanmax(np.abs(result.robot.parameters))
     same = again.parameter_names == result.robot.parameter_names and np.allclose(
         again.parameters, result.robot.parameters, rtol=READ_BACK, atol=READ_BACK * scale, equal_nan=True
     )

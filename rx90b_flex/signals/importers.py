@@ -493,7 +493,11 @@ class _Import:
             currents = "motor_current" in stated and "torque" not in stated
             left, used = ("torque", "currents") if currents else ("motor_current", "torques")
             names = ", ".join(c.name for c in by_joint[left].values())
-            choice = "" if stated.keys() & {"torque", "motor_current"} else "; --columns motor_current=... takes the currents"
+            choice = (
+                ""
+                if stated.keys() & {"torque", "motor_current"}
+                else "; --columns motor_current=... takes the currents"
+            )
             self.found.add(f"{left}: left out, for {used} are used: {names}{choice}")
             return currents
         return "motor_current" in by_joint
