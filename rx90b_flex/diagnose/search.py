@@ -389,8 +389,9 @@ class Search:
         """What comes back where an effect is taken out, with the shapes that explain most there."""
         if not (effect.joints and effect.traits.stands_for):
             return []
-        kind = catalogue()[effect.traits.stands_for[0]]
-        own = [e for e in kind.everywhere(self.sites) if type(e) is kind and e.place == effect.place]
+        kinds = [catalogue()[name] for name in effect.traits.stands_for]
+        of_each = ([e for e in k.everywhere(self.sites) if type(e) is k and e.place == effect.place] for k in kinds)
+        own: list[Effect] = next(filter(None, of_each), [])  # the first that is searched for as it stands in files
         here = [e for e in own if e not in self.model.effects]
         base = self.base(effect)
         return [self._best(e, base) if len(self.free(e)) else e for e in map(self._sharing, here)]
@@ -768,7 +769,7 @@ class Search:
         at = effect.shape[shapes]
         named = list(effect.shape_parameters.items())
         for (name, p), x, a, b in zip((named[i] for i in shapes), at, low, high, strict=True):
-            if x <= 1.01 * a and not p.shared:  # what effects share may be as sharp as can be
+            if x <= 1.01 * a and not (p.shared or p.least_will_do):  # what effects share may be as sharp as can be
                 return f"at its bound: this log does not resolve a {name} below {a:.3g}"
             if x >= 0.99 * b:
                 return f"at its bound: this log does not hold a {name} beyond {b:.3g}"

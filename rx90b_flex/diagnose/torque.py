@@ -522,20 +522,32 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
             if any(step.trial is t for t in harmless):
                 continue
             model, back = self.without(standing, step)
-            less, more = (m.told.validation for m in (model, standing.model))
-            found = self.data.rise(model, standing.model) if more.worse_than(less) else None
+            found = self._spoiled(standing.model, step.trial.effect, model)
             if found is None:
                 self._harmless.append(step.trial)
-            if found is not None and (worst is None or found[1] < worst[0]):
+            elif worst is None or found[0] < worst[0]:
                 self._lesser[:] = [(standing.model, step.trial, (model, back))]
-                between = f"{less.relative_error:.4f} -> {more.relative_error:.4f}"
-                worst = found[1], step, f"it raises the error of {found[0]}, which was not fitted: {between}"
+                worst = found[0], step, found[1]
         if worst is None:
             worst = self._too_much(standing)
         if worst is None:
             return None
         _, step, why = worst
         return step, dataclasses.replace(step.trial, lawful=False, objection=why)
+
+    def _spoiled(self, model: TorqueModel, added: Effect, without: TorqueModel) -> tuple[float, str] | None:
+        """How likely chance raises the held-out error as an addition does, and what is said of it; None where it does no harm."""
+        less, more = (m.told.validation for m in (without, model))
+        if not more.worse_than(less):
+            return None
+        between = f"{less.relative_error:.4f} -> {more.relative_error:.4f}"
+        found = self.data.rise(without, model)
+        if found is not None:
+            return found[1], f"it raises the error of {found[0]}, which was not fitted: {between}"
+        declared = [e.label for e in self.search(model).restored(find(model, added)) if e.label in self._declared]
+        if not declared:
+            return None
+        return 1.0, f"the declared {', '.join(declared)} in its place leaves less of what was not fitted: {between}"
 
     def _too_much(
         self, standing: Standing[TorqueModel, TorqueTrial]

@@ -51,6 +51,8 @@ class Parameter:
         Whether all effects of a joint have one value of that name; `start` where it is not known.
     telling : bool
         Whether the name means nothing where no more than its size's order is known.
+    least_will_do : bool
+        Whether the least value of a shape that a log can tell stands for all below it.
     """
 
     unit: str
@@ -65,6 +67,7 @@ class Parameter:
     held: bool = False
     shared: bool = False
     telling: bool = False
+    least_will_do: bool = False
 
 
 def linear(unit: str, *, lower: float = -np.inf, size: int = 1, rank: int = OTHER, public: str = "") -> Any:
@@ -80,12 +83,10 @@ def shape(
     lower: float,
     upper: float,
     size: int = 1,
-    usual: bool = False,
-    shared: bool = False,
-    telling: bool = False,
+    **said: bool,
 ) -> Any:
-    """Field of an effect: a parameter that gives the force its shape."""
-    parameter = Parameter(unit, "shape", lower, upper, start, size, usual=usual, shared=shared, telling=telling)
+    """Field of an effect: a parameter that gives the force its shape; what is `said` of it: see `Parameter`."""
+    parameter = Parameter(unit, "shape", lower, upper, start, size, **said)
     return dataclasses.field(default=None, metadata={"parameter": parameter})
 
 

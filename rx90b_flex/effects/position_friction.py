@@ -43,7 +43,7 @@ class PositionFriction(PeriodicEffect, LawEffect, DryFriction, repeats=False):
     PEAKS: ClassVar[int] = 4
     SHOWN: ClassVar[float] = 0.25  # no other law changes sign with the direction and along the angle
 
-    order: float | None = shape("1/turn", start=1.0, lower=0.5, upper=PeriodicEffect.HIGHEST_ORDER)
+    order: float | None = shape("1/turn", start=1.0, lower=0.5, upper=PeriodicEffect.HIGHEST_ORDER, least_will_do=True)
     amplitude: float | None = derived("N m", lower=0.0)
     phase: float | None = derived("rad")
     turnover: float | None = turnover_shape()
