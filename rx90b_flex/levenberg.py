@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 LEAST, MOST = 1e-10, 1e7  # damping
+ROUNDING = (
+    1e-12  # length of a parameter's column over the longest one's below which there is nothing but rounding in it
+)
 
 
 @dataclass(frozen=True)
@@ -97,7 +100,7 @@ def _as_bad(step: Array, other: Array, lost: float, curvature: Array, fall: Arra
 def damped_step(curvature: Array, fall: Array, damping: float) -> Array:
     """Marquardt's step, shape (s,), of normal equations (s, s) and (s,); a parameter that the data does not tell stays."""
     size = np.sqrt(np.maximum(np.diag(curvature), 0.0))
-    scale = np.where(size > 0.0, size, 1.0)
+    scale = np.where(size > ROUNDING * size.max(initial=0.0), size, np.inf)
     normal = curvature / np.outer(scale, scale) + damping * np.eye(len(scale))
     return np.asarray(np.linalg.solve(normal, fall / scale) / scale)
 

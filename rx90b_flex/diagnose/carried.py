@@ -12,7 +12,6 @@ from rx90b_flex.effects.motion import Array, Mask
 
 BLOCK_S = 1.0  # parts of a recording whose losses are compared with their spread
 FEWEST, MOST = 4, 20  # of them, in a recording
-GROSS = 1.1  # times the error of all recordings, a rise that counts even where few of their parts have it
 CHANCE = 0.05  # that errors which only chance raises count as raised, all recordings and both kinds of rows together
 
 
@@ -23,7 +22,7 @@ def rise(
     without: Sequence[Array],
     added: Sequence[Array],
 ) -> tuple[int, float] | None:
-    """The recording whose error an addition raises most surely, beyond what its parts' spread explains, or grossly.
+    """The recording whose error an addition raises most surely, beyond what its parts' spread explains.
 
     A rise counts over all rows, and over those in which the joint concerned moves: at rest friction takes any value. What it
     holds where a joint stands as a recording begins nobody knows: these rows do not count at all.
@@ -44,18 +43,14 @@ def rise(
     """
     moving = [~still for still in resting_each(velocity)]
     told = [~waiting(v, rate) for v, rate in zip(velocity, rates, strict=True)]
-    chances, errors = [], []
+    chances = []
     for tau, mask, known, rate, less, more in zip(torque, moving, told, rates, without, added, strict=True):
         lost = (tau - more) ** 2 - (tau - less) ** 2
         parts = int(np.clip(len(lost) / rate / BLOCK_S, FEWEST, MOST))
         chances.append(min(_chance(lost, known, parts), _chance(lost, mask & known, parts)))
-        errors.append([float((((tau - x) ** 2) * known).sum()) for x in (less, more)])
     worst = int(np.argmin(chances))
     p_value = min(1.0, 2.0 * len(chances) * chances[worst])
-    if p_value < CHANCE:
-        return worst, p_value
-    less_in_all, more_in_all = np.sum(errors, axis=0)
-    return (int(np.argmax([b - a for a, b in errors])), CHANCE) if more_in_all > GROSS**2 * less_in_all else None
+    return (worst, p_value) if p_value < CHANCE else None
 
 
 def _chance(lost: Array, rows: Mask, parts: int) -> float:

@@ -42,6 +42,7 @@ MUCH = 0.1  # of the squared error of the joints it touches: an effect that expl
 PAIRS = 3  # such effects that are tried with company
 CERTAIN = 2.0  # standard deviations that a value is from zero
 # Of what an effect explains, over the part of the rows in which its joints move: below that it explains what they hold at rest
+GROSS = 1.1  # times the held-out error, a rise that no spread of it excuses
 IN_MOTION = 0.2
 CHANGED = 0.5  # of its values beside a curve: what changes by more is not what it was taken for
 ALIKE = 0.1  # of its torque by which an effect differs from what it stands in for: beside a curve less says nothing
@@ -508,11 +509,13 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
 
     def burden(self, standing: Standing[TorqueModel, TorqueTrial]) -> tuple[Addition[TorqueTrial], TorqueTrial] | None:
         """Of the additions after which the held-out error was larger than before, the one that raises it most surely; where all
-        together leave more than the declared model does, the one without which least is left.
+        together leave more than the declared model does, or one grossly more than there was without it, the one without which
+        least is left.
 
         What did no harm before another one was taken out does none after, where the two have no joint in common.
         """
         worst: tuple[float, Addition[TorqueTrial], str] | None = None
+        gross = False
         gone = [t.effect for t in standing.taken_out[-1:]]
         harmless = [t for t in self._harmless if not any(meet(t.effect, e) for e in gone)]
         self._harmless[:] = harmless
@@ -523,13 +526,15 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
                 continue
             model, back = self.without(standing, step)
             found = self._spoiled(standing.model, step.trial.effect, model)
-            if found is None:
+            if found is None and grossly_worse(standing.model, model):
+                gross = True
+            elif found is None:
                 self._harmless.append(step.trial)
             elif worst is None or found[0] < worst[0]:
                 self._lesser[:] = [(standing.model, step.trial, (model, back))]
                 worst = found[0], step, found[1]
         if worst is None:
-            worst = self._too_much(standing)
+            worst = self._too_much(standing, gross)
         if worst is None:
             return None
         _, step, why = worst
@@ -550,19 +555,27 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         return 1.0, f"the declared {', '.join(declared)} in its place leaves less of what was not fitted: {between}"
 
     def _too_much(
-        self, standing: Standing[TorqueModel, TorqueTrial]
+        self, standing: Standing[TorqueModel, TorqueTrial], gross: bool
     ) -> tuple[float, Addition[TorqueTrial], str] | None:
-        """Of additions with which more is held out than without any: the error without it, the addition, and why it goes."""
+        """Of additions with which more is held out than without any, or grossly more than without one: the error without it, the
+        addition, and why it goes.
+        """
         before, after = self._beginning.told.validation, standing.model.told.validation
-        if not after.worse_than(before):
+        worse = after.worse_than(before)
+        if not (worse or gross):
             return None
         lesser = [(standing.model, s.trial, self.without(standing, s)) for s in standing.steps]
         errors = [model.told.validation.relative_error for _, _, (model, _) in lesser]
         best = int(np.argmin(errors))
         self._lesser[:] = [lesser[best]]
         declared, now = (e.relative_error for e in (before, after))
-        why = f"what was added left more than the declared model where it was not fitted: {declared:.4f} -> {now:.4f}"
-        return errors[best], standing.steps[best], f"{why}; {errors[best]:.4f} without it"
+        if worse:
+            why = (
+                f"what was added left more than the declared model where it was not fitted: {declared:.4f} -> {now:.4f}"
+            )
+            return errors[best], standing.steps[best], f"{why}; {errors[best]:.4f} without it"
+        why = f"it raises the error of what was not fitted: {errors[best]:.4f} -> {now:.4f}"
+        return errors[best], standing.steps[best], why
 
     def compared(self, model: TorqueModel, step: Addition[TorqueTrial]) -> list[Comparison]:
         """An addition against each of its rivals that is worth it, in its place in a model."""
@@ -744,6 +757,12 @@ def _unknown(model: Identification, effect: Effect) -> str:
     return next(
         (n for n, e in values.items() if e.value is not None and e.std is not None and abs(e.value) < e.std), ""
     )
+
+
+def grossly_worse(model: TorqueModel, other: TorqueModel) -> bool:
+    """Whether so much more is held out than in another model that it counts even where few parts of the recordings have it."""
+    own, less = (m.told.validation.relative_error for m in (model, other))
+    return own > GROSS * less
 
 
 def find(model: TorqueModel, like: Effect) -> Effect:

@@ -72,7 +72,8 @@ class _Curve(ManyCoefficients, last_resort=True, of_make=False):
 
     A fit penalises how far it bends from knot to knot, ``integral h(x)^3 f''(x)^2 dx`` with the distance h of the two knots on
     either side: second differences, on knots that are not equally far apart. A straight line has none. How much that counts the
-    data choose: blocks that are held out. What another effect of its joint has already, a level or a straight line, is left to that.
+    data choose: blocks that are held out. What another effect of its joint has already, a level, a straight line or a V over
+    velocity, is left to that.
 
     Source: P. H. C. Eilers, B. D. Marx, "Flexible smoothing with B-splines and penalties", Statistical Science 11(2), 1996;
     the integral of a natural cubic spline as in P. J. Green, B. W. Silverman, "Nonparametric Regression and Generalized Linear
@@ -101,15 +102,20 @@ class _Curve(ManyCoefficients, last_resort=True, of_make=False):
         return len(self.knots)
 
     def held_beside(self, others: Sequence[Effect], motions: Sequence[Motion]) -> Array:
-        """The level and the straight line, which other effects in its place have; not where it ends within the motion."""
+        """The level, the straight line and the V, which other effects in its place have; not where it ends within the motion."""
         here = {what for e in others if e.place == self.place and e is not self for what in e.traits.straight}
-        level, line = "level" in here, self.axis in here
-        if not (level or line) or not self._covers(motions):
-            return super().held_beside(others, motions)
         knots = np.array(self.knots)
+        # each without what those before it have, which stay the curve's own where no other effect has them
+        straight, has = {"level": np.ones(len(knots)), self.axis: knots}, {"level", self.axis} & here
+        if self.axis == "velocity" and len(knots) and knots[0] < 0.0 < knots[-1]:
+            straight["speed"], has = np.abs(knots), has | ({"speed"} & here)
+        if not has or not self._covers(motions):
+            return super().held_beside(others, motions)
         where = self.straight_at(knots)
-        straight = [where] * level + [where * (knots - np.average(knots, weights=where))] * line
-        return np.array([x / np.linalg.norm(x) for x in straight]).T
+        root = np.sqrt(where)
+        apart, _ = np.linalg.qr(root[:, None] * np.array(list(straight.values())).T)
+        held = [root * x for name, x in zip(straight, apart.T, strict=True) if name in has]
+        return np.array([x / np.linalg.norm(x) for x in held]).T
 
     def _covers(self, motions: Sequence[Motion]) -> bool:
         every = [self.abscissa(m.joint(self.joint)) for m in motions]

@@ -107,7 +107,7 @@ class ViscousFriction(SumOfLaws, SidedFriction, grows_with_speed=True, straight=
 
 
 @dataclass(frozen=True, kw_only=True)
-class AsymmetricFriction(SidedFriction, LawEffect):
+class AsymmetricFriction(SidedFriction, LawEffect, straight=("speed",)):
     """Viscous friction that differs by direction, ``coefficient * |v|``.
 
     Signature

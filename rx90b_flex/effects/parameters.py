@@ -83,7 +83,7 @@ def shape(
     lower: float,
     upper: float,
     size: int = 1,
-    **said: bool,
+    **said: Any,
 ) -> Any:
     """Field of an effect: a parameter that gives the force its shape; what is `said` of it: see `Parameter`."""
     parameter = Parameter(unit, "shape", lower, upper, start, size, **said)

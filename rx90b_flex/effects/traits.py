@@ -36,7 +36,8 @@ class Traits:
     grows_with_speed : bool
         Friction that grows with the velocity: beside it, dry friction that turns over widely does not play its part.
     straight : tuple of str
-        What of a straight torque it can have, whatever else it has: "level", and lines along "angle" or "velocity" of its joint.
+        What of a straight torque it can have, whatever else it has: "level", lines along "angle" or "velocity" of its joint, and
+        "speed", a V against its velocity.
     behind_gear : bool
         A torque sensor behind the gear feels it; what may be on either side is the motor's.
     multiplies : bool

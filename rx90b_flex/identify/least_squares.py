@@ -30,7 +30,7 @@ from rx90b_flex.identify.reach import widened
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.shapes import Shapes
 from rx90b_flex.identify.uncertainty import Uncertainty, absorbed_each
-from rx90b_flex.levenberg import Iterate, lowest
+from rx90b_flex.levenberg import ROUNDING, Iterate, lowest
 from rx90b_flex.robot import LINK_PARAMETERS, LINK_UNITS
 
 MOST_CIRCLES = 12  # of such fits where shapes are fitted with them
@@ -246,9 +246,10 @@ class Identification:
         usable = jacobian[:, free]
         std = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", usable, covariance[np.ix_(free, free)], usable), 0.0))
         shown = self.regression.robot.values_of(effect)
+        told = std > ROUNDING * np.abs(values)
         return tuple(
-            Estimate(name, None if np.isnan(value) else float(value), None if np.isnan(value) else float(s), unit)
-            for (name, unit, _), value, s in zip(shown, values, std, strict=True)
+            Estimate(name, float(value), float(s), unit) if known else Estimate(name, None, None, unit)
+            for (name, unit, _), value, s, known in zip(shown, values, std, told, strict=True)
         )
 
     def link_estimates(self) -> tuple[Estimate, ...]:
