@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from itertools import pairwise
+from itertools import groupby, pairwise
 from typing import Any, Generic, TypeVar
 
 from rx90b_flex.diagnose.trial import Trial
@@ -223,7 +223,19 @@ class ClosingLoop(Generic[ModelT, TrialT]):
                     break
                 standing = less
             self.visited.add(self.residual.signature(standing.model))
-        return self._carried(self._renamed(standing))
+        return self._chained(self._carried(self._renamed(standing)))
+
+    def _chained(self, standing: Standing[ModelT, TrialT]) -> Standing[ModelT, TrialT]:
+        """With errors that go on from step to step, whatever was taken out between them: from the declared model's to what is left."""
+        together = [list(steps) for _, steps in groupby(standing.steps, key=lambda s: id(s.before))]
+        ends = [steps[-1].after for steps in together[:-1]] + [self.residual.errors_of(standing.model)]
+        begins = [self.residual.errors_of(self.declared), *ends]
+        steps = [
+            dataclasses.replace(step, before=before, after=after)
+            for some, before, after in zip(together, begins, ends, strict=False)
+            for step in some
+        ]
+        return dataclasses.replace(standing, steps=tuple(steps))
 
     def _renamed(self, standing: Standing[ModelT, TrialT]) -> Standing[ModelT, TrialT]:
         """With look-alikes in place of additions, less what these make needless; as it was where it does worse without that."""
