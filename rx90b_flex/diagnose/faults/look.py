@@ -58,6 +58,8 @@ class Hypothesis:
         Squared error of most of its joints with it, above which it is none either.
     neutral : float
         The factor at which nothing is wrong.
+    grain : float
+        Step of the factor below which nothing changes.
     by_links : bool
         Whether the factor goes by the URDF's links, too.
     evident : float
@@ -76,6 +78,7 @@ class Hypothesis:
     smallest: float = 0.0
     far: float = np.inf
     neutral: float = 0.0
+    grain: float = 0.0
     by_links: bool = True
     evident: float = 0.0
 
@@ -256,7 +259,7 @@ class Look:
         )
         at = float(found.x) if found.fun < score(scale.to(factor)) else scale.to(factor)
         best = scale.back(at)
-        step = 0.02 * (high - low)
+        step = max(0.02 * (high - low), hypothesis.grain)
         bend = (score(at + step) - 2 * score(at) + score(at - step)) / step**2
         std = float(1.0 / np.sqrt(max(0.5 * self.sample.independent_rows * bend, 1e-12)))
         std = min(std, 1.0) * abs(best) if scale.logarithmic else std

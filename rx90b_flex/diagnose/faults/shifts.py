@@ -12,6 +12,7 @@ from rx90b_flex.diagnose.faults.rigid_fit import FLOOR, RIDGE
 from rx90b_flex.effects.motion import Array, Mask
 
 SMALLEST_S = 0.05  # below it a delay of filters and buses, which the loop finds as an effect
+SMALLEST_IN_ONE_S = 0.01  # of one recording beside others, which filters and buses have in common
 LARGEST_S = 3.0
 # squared error of most of the joints that are brought to another time, above which it is not theirs either: at some time torques
 # go with any motion a little better
@@ -29,8 +30,13 @@ def shifted(look: Look) -> Iterator[Hypothesis]:
     moves = np.array(list(_moves(look)))
     for move, row in zip(moves, _scores(look, lags, moves), strict=True):
         lag = float(lags[int(np.argmin(row))])
-        if abs(lag) >= SMALLEST_S:
+        if abs(lag) >= _smallest(move):
             yield _of(look, move, lag, step)
+
+
+def _smallest(move: Mask) -> float:
+    """Shift, s, below which torques (recordings, joints) are not said to have come at another time."""
+    return SMALLEST_S if move.any(axis=1).all() else SMALLEST_IN_ONE_S
 
 
 def _moves(look: Look) -> Iterator[Mask]:
@@ -89,7 +95,9 @@ def _of(look: Look, move: Mask, lag: float, step: float) -> Hypothesis:
     when = "after" if lag > 0 else "before"
     text = f"Torques{whose}{where} are logged <factor> s {when} the positions they belong to: bring both to one clock."
     bounds = lag - 2 * step, lag + 2 * step
+    sample_s = 1.0 / min(t.rate_hz for t in look.sample.tracks)
     return Hypothesis(
         "time_shift", "torque", joints, text, lambda seconds: look.reading.later(move, seconds), lag, bounds,
-        shown=float(np.sign(lag)), smallest=SMALLEST_S, far=STILL_FAR,
+        shown=float(np.sign(lag)), smallest=_smallest(move), far=STILL_FAR,
+        grain=sample_s,
     )  # fmt: skip
