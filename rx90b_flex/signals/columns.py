@@ -62,6 +62,7 @@ class ColumnFinder:
         self.log, self.axes, self.options, self.found = log, axes, options, found
         self._among = options.joints or axes.joints  # what numbers count
         self._beyond: list[str] = []  # columns with the number of a joint that is not there
+        self._leave_out_names_that_are_there_twice()
 
     def _problem(self, what: str) -> ValueError:
         return ValueError(f"{self.log.path}: {what}")
@@ -75,7 +76,6 @@ class ColumnFinder:
             One line that names file and column: none that can be a position or a torque, two for one place, a unit that the signal
             cannot have, a name that is there twice.
         """
-        self._leave_out_names_that_are_there_twice()
         return self._complete(self._places(time_name))
 
     def time(self) -> tuple[Array, str | None]:

@@ -56,7 +56,11 @@ _EXPECTED: dict[Kind, str] = {
     "force": "N, kN, lbf",
     "current": "A, mA",
 }
-_OF_RATES: dict[Kind, Kind] = {"angle rate": "angle", "length rate": "length"}
+_ONE: dict[Kind, str] = {
+    "angle": "an angle",
+    "angle rate": "the rate of an angle",
+    "length rate": "the rate of a length",
+}
 _NONE = {"", "1", "none", "n/a"}
 
 
@@ -82,9 +86,12 @@ def words_of(name: str) -> list[str]:
     """`jointPos_1 [deg]` gives joint, pos, 1, deg; the degree sign is a word, too."""
     plain = name.replace("°", " deg ").replace("µ", "u").replace("μ", "u")
     plain = re.sub(r"(?<![A-Za-z\d])(?:1|u|rev)\s*/\s*min(?![a-z])", "rpm", plain, flags=re.IGNORECASE)
+    plain = re.sub(r"(?<![A-Za-z])(s|min)\s*\^\s*-1", r"per \1", plain.replace("⁻¹", "^-1"))
+    plain = re.sub(r"\^\s*-?\d+", "", plain)  # which counts no joint
     # a newton and a metre, with whatever stands between them, are one word
     metres = re.sub(r"(?<![A-Za-z])([mkc]?)N[ ·⋅*.]?([cm]?m)(?![A-Za-z])", r"\1n\2", plain)
     joined = re.sub(r"(?<![A-Za-z])([mk])N(?=m|(?![A-Za-z]))", r"\1n", metres)
+    joined = re.sub(r"(?<![A-Za-z])mA(?![A-Za-z])", "ma", joined)
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", joined)
     return re.findall(r"[a-z]+|\d+", spaced.lower())
 
@@ -129,7 +136,7 @@ def unit_in_name(name: str, kinds: Sequence[Kind], no_units: Collection[str] = (
         if word not in UNIT_WORDS:
             continue
         behind = [w for w in words[k + 1 :] if w != "per"]
-        rates = any(kind in _OF_RATES for kind in kinds)
+        rates = bool({"angle rate", "length rate"} & set(kinds))
         if rates and "min" in words:
             unit = f"{word}/min"
         elif behind[:1] == ["s"] or (rates and unit_of(f"{word}/s")):  # names of speeds often leave out the second
@@ -195,13 +202,9 @@ def _scale(text: str, kinds: Sequence[Kind], found: str) -> float | None:
 
 def _wrong(text: str, kinds: Sequence[Kind]) -> str:
     """What is wrong with a unit in a name."""
-    known = unit_of(text)
-    why = (
-        "import does not bring to SI"
-        if known is None or known[0] == "other"
-        else f"is no unit of {'an' if kinds[0].startswith('a') else 'a'} {kinds[0]}"
-    )
-    return f"is in {text}, which {why}"
+    known, one = unit_of(text), _ONE.get(kinds[0], f"a {kinds[0]}")
+    foreign = known is None or known[0] == "other"
+    return f"is in {text}, which {'import does not bring to SI' if foreign else f'is no unit of {one}'}"
 
 
 def _foreign(text: str, kinds: Iterable[Kind], found: str) -> ForeignUnit:
@@ -227,7 +230,7 @@ def _in_brackets(name: str, no_units: Collection[str]) -> str | None:
 
 def _key(text: str) -> str:
     """A unit as the tables have it: `[N·m]` gives nm, `deg s^-1` deg/s, `U/min` rpm."""
-    plain = text.replace("°", "deg").replace("µ", "u").replace("μ", "u").replace("²", "2")
+    plain = text.replace("°", "deg").replace("µ", "u").replace("μ", "u").replace("²", "2").replace("⁻¹", "^-1")
     plain = re.sub(r"[\[\]()\"]", "", plain).strip()
     plain = re.sub(r"(?<!\w)MN", "mega N", plain)  # which is no mN
     plain = re.sub(r"\s+per\s+|_per_", "/", plain.lower())
