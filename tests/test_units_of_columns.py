@@ -160,7 +160,8 @@ def test_numbers_beside_joints_that_are_fewer_count_the_robot_s(tmp_path: Path) 
     np.testing.assert_allclose(whole(imported, "position"), Q[:, ::2])
     np.testing.assert_allclose(whole(imported, "torque"), TAU[:, ::2])
     assert "numbers are those of the robot's 3 joints" in said(imported) and "3 is joint_3" in said(imported)
-    table(["time", "q1", "q2", "tau1", "tau2"], TIME, Q[:, :2], TAU[:, :2]).to_csv(path, index=False)
+    beside = ["tool_torque_3", "tcp_pos_3"]
+    table(["time", "q1", "q2", "tau1", "tau2", *beside], TIME, Q[:, :2], TAU[:, :2], V[:, :2]).to_csv(path, index=False)
     two = import_logs([path], AXES, ReadingOptions(joints=JOINTS[1:]))
     np.testing.assert_allclose(whole(two, "position"), Q[:, :2])  # as many as are named: in their order
     assert two.recordings[0].joints == JOINTS[1:]

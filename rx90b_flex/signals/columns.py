@@ -133,7 +133,8 @@ class ColumnFinder:
             self.found.add(
                 f"left out, for joints are counted to {len(self._among)}: {', '.join(self._beyond)}", "likely"
             )
-        _tell_joint_torques(read)
+        if "joint_torque" not in stated:
+            _tell_joint_torques(read)
         for name in log.words:
             column = self._column(name, unnumbered(name) in zeros)
             if column is not None and column.signal in REQUIRED and column.signal not in stated:
@@ -167,14 +168,15 @@ class ColumnFinder:
         chosen, joints = self.options.joints, self.axes.joints
         if not chosen or len(chosen) == len(joints):
             return chosen or joints
-        angles: set[int] = set()
-        efforts: set[int] = set()
+        angles: list[tuple[int, int]] = []  # words that say nothing known, number
+        efforts: list[tuple[int, int]] = []
         for name in names:
             number = None if self.log.roles else self._number_in(name)
-            signal, _ = self._signal(name, [w for w in words_of(name) if not w.isdigit()])
+            signal, rest = self._signal(name, [w for w in words_of(name) if not w.isdigit()])
             if number is not None and (signal == "motor_position" or signal in EFFORTS):
-                (efforts if signal in EFFORTS else angles).add(number)
-        numbers = angles & efforts
+                (efforts if signal in EFFORTS else angles).append((len(rest), number))
+        # a tool's torque 3 is no joint's
+        numbers = _least(angles) & _least(efforts)
         first = 0 if 0 in numbers else 1
         if numbers <= set(range(first, first + len(chosen))):
             return chosen
@@ -420,9 +422,15 @@ def _tell_joint_torques(read: dict[str, list[PlacedColumn]]) -> None:
     torques = read.get("torque", [])
     motors = [c for c in torques if _OF_MOTORS & set(words_of(c.name))]
     sensors = [c for c in torques if c not in motors and find_words(("joint", "torque"), words_of(c.name))]
-    if sensors and {c.joint for c in sensors} <= {c.joint for c in motors} and "joint_torque" not in read:
+    if sensors and {c.joint for c in sensors} <= {c.joint for c in motors}:
         read["torque"] = [c for c in torques if c not in sensors]
         read["joint_torque"] = [dataclasses.replace(c, signal="joint_torque") for c in sensors]
+
+
+def _least(numbers: Sequence[tuple[int, int]]) -> set[int]:
+    """The numbers of those columns whose names say least else."""
+    least = min((extra for extra, _ in numbers), default=0)
+    return {number for extra, number in numbers if extra == least}
 
 
 def _last_number(words: Sequence[str]) -> int | None:
