@@ -15,7 +15,8 @@ from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.facts import found_period_s, sensible_cutoff_hz
 from rx90b_flex.signals.filters import minimum_samples
 from rx90b_flex.signals.folders import CAMPAIGN, check_folder, fill_folder
-from rx90b_flex.signals.importers import Axes, Finding, Imported, ReadingOptions, import_logs
+from rx90b_flex.signals.import_options import Axes, Finding, ReadingOptions
+from rx90b_flex.signals.importers import Imported, import_logs
 from rx90b_flex.signals.recording import LARGEST_ANGLE, Recording, load_campaign, write_campaign
 
 FILTERS = 4  # times the length of the low-pass that a recording must have

@@ -264,3 +264,73 @@ def test_of_currents_and_torques_one_is_used_and_the_other_told(tmp_path: Path, 
     left, used, of = ("torque", "currents", "tau") if asked else ("motor_current", "torques", "current")
     assert f"{left}: left out, for {used} are used: {', '.join(numbered(of))}" in said(imported)
     assert ("--columns motor_current=..." in said(imported)) == (not asked)
+
+
+@pytest.mark.parametrize(
+    ("before", "count"),
+    [
+        ("Robot: KR10\nProgram: test.src\n\nChannels: 13\n", 3),
+        ("Robot,KR10\nProgram,test.src\n", 2),
+        ("trace file\nRobot: KR10, R1100\nSample time: 4 ms\n", 3),
+        ("Robot,KR10,,,,,\nProgram,test.src,,,,,\n", 2),
+    ],
+)
+@pytest.mark.parametrize("units", ["", "s,rad,rad,rad,Nm,Nm,Nm\n"])
+def test_lines_above_the_names_are_left_out_and_told(tmp_path: Path, before: str, count: int, units: str) -> None:
+    for change in (str, lambda text: text.replace(",", ";")):
+        path = written(tmp_path / "run.csv", before, units=units)
+        path.write_text(change(path.read_text()))
+        assert f"{count} lines before the header left out (likely)" in check(path)
+
+
+def test_rows_above_the_names_are_not_lost_without_a_word(tmp_path: Path) -> None:
+    path = written(tmp_path / "run.csv", before="0,1,2,3,4,5,6\n")
+    with pytest.raises(ValueError, match="the first line holds numbers"):
+        import_logs([path], AXES)
+    path.write_text("a,b\nc,d\n" + ",".join(NAMES) + "\n" + "0,1,2,3,4,5,6,7\n" * 20)
+    with pytest.raises(
+        ValueError, match="the line of column names was not found: put # before lines that stand above it"
+    ):
+        import_logs([path], AXES)
+
+
+@pytest.mark.parametrize("end", [",,,\n", ",,,,,,\n,,,,,,\n", ",\n"])
+def test_empty_rows_at_the_end_are_left_out(tmp_path: Path, end: str) -> None:
+    path = written(tmp_path / "run.csv")
+    path.write_text(path.read_text() + end)
+    assert f"{end.count(chr(10))} empty rows at the end left out" in check(path)
+
+
+def test_empty_cells_beyond_the_last_column_are_left_out(tmp_path: Path) -> None:
+    path = written(tmp_path / "run.csv")
+    names, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([names, *(row + "," for row in rows)]))
+    assert f"empty cells beyond the last column left out, in {SAMPLES} rows" in check(path)
+    path.write_text("\n".join([names + ",,", *rows]))
+    check(path)
+    path.write_text("\n".join([names, *rows, "1,2,3"]))
+    with pytest.raises(ValueError, match=f"row {SAMPLES + 1} has 3 cells, the header has 7"):
+        import_logs([path], AXES)
+
+
+@pytest.mark.parametrize("name", ["Status", "tau1", "t"])
+def test_a_name_that_is_there_twice_is_refused_only_where_it_can_be_used(tmp_path: Path, name: str) -> None:
+    path = written(tmp_path / "run.csv")
+    first, *rows = path.read_text().splitlines()
+    twice = name if name in NAMES else f"{name},{name}"
+    path.write_text("\n".join([f"{first},{twice}", *(f"{row},1" + (",2" if name == "Status" else "") for row in rows)]))
+    if name == "Status":
+        assert "column 'Status': left out, for it is there 2 times" in check(path)
+        with pytest.raises(ValueError, match="column 'Status' is there 2 times"):
+            import_logs([path], AXES, ReadingOptions({"motor_velocity": ("Status", "q2", "q3")}))
+        return
+    with pytest.raises(ValueError, match=rf"run\.csv: column '{name}' is there 2 times"):
+        import_logs([path], AXES)
+
+
+def test_a_log_that_begins_anew_says_what_to_do(tmp_path: Path) -> None:
+    path = written(tmp_path / "run.csv", t=np.r_[TIME[:300], TIME[: SAMPLES - 300]])
+    with pytest.raises(
+        ValueError, match=r"row 301: time runs backwards.*; cut the file there into two logs, and import both"
+    ):
+        import_logs([path], AXES)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rx90b_flex.signals.units import ANGLE_UNITS, TIME_UNITS, TORQUE_UNITS, words_of
+from rx90b_flex.signals.units import TIME_UNITS, UNIT_WORDS, words_of
 
 # words in names, in lower case
 # fmt: off
@@ -26,14 +26,29 @@ _OTHER = {"qdd", "ddq", "qddot", "ddot", "acc", "accel", "acceleration", "temp",
 _NOISE = {"joint", "joints", "axis", "motor", "act", "actual", "meas", "measured", "data", "log", "state", "states", "arm", "robot",
           "drive", "achse", "axe", "ist", "per", "dot", "j", "m", "n", "s", "rad", "nm"}
 _TIMES = {"time", "t", "timestamp", "stamp", "times", "clock", "seconds", "secs", "sec", "zeit", "zeitstempel", "temps", "datetime"}
+# what stands in brackets and is no unit, beside the words above
+_ASIDE = {"filtered", "filt", "unfiltered", "raw", "lowpass", "lp", "left", "right", "upper", "lower", "front", "rear", "main",
+          "estimated", "estimate", "est", "calculated", "calc", "computed", "smoothed", "smooth", "mean", "avg", "average",
+          "side", "input", "out", "signal", "channel", "ch", "value", "val", "real", "lreal", "double", "float", "sim",
+          "simulated", "model", "corrected", "corr", "abs", "absolute", "rel", "relative", "incremental", "gear", "sensor", "plc",
+          "controller", "internal", "base", "shoulder", "elbow", "wrist", "tool", "tcp", "flange", "gripper", "hand", "head",
+          "torso", "leg", "hip", "knee", "ankle", "foot", "finger", "master", "slave", "leader", "follower", "total", "sum",
+          "net", "roll", "pitch", "yaw", "si", "optional", "new", "old"}
 # fmt: on
+_TORQUES = ("nm", "mnm", "cnm", "knm", "ncm", "nmm")
 # names of one letter with their units
 _OF_LETTERS: dict[tuple[str, ...], str] = {
     **{("i", u): "motor_current" for u in ("a", "ma")},
-    **{(x, u): "torque" for x in "mt" for u in ("nm", "mnm", "knm")},
+    **{(x, u): "torque" for x in "mt" for u in _TORQUES},
     **{("f", u): "torque" for u in ("n", "kn")},
     **{(x, "mm"): "motor_position" for x in "jaq"},
 }
+
+
+# words in brackets that are no units
+NO_UNITS = (_POSITION | _VELOCITY | _TORQUE | FORCE | _REFERENCE | _LINK | _CURRENT | _OTHER | _NOISE | _TIMES | _ASIDE) - {
+    "j", "m", "n", "s", "per", "rad", "nm"
+}  # fmt: skip
 
 
 def time_words(name: str) -> list[str]:
@@ -64,7 +79,7 @@ def signal_of(words: Sequence[str]) -> tuple[str | None, list[str]]:
         return ("motor_current" if not kinds & (_REFERENCE | _FORWARD) else None), [
             w for w in words if w not in _CURRENT | _NOISE and not w.isdigit()
         ]
-    known = _POSITION | _VELOCITY | _TORQUE | _REFERENCE | _LINK | _NOISE | set(ANGLE_UNITS) | set(TORQUE_UNITS)
+    known = _POSITION | _VELOCITY | _TORQUE | _REFERENCE | _LINK | _NOISE | UNIT_WORDS
     left = [w for w in words if w not in known and not w.isdigit()]
     wanted = bool(kinds & _REFERENCE)
     if kinds & _TORQUE:
@@ -93,7 +108,7 @@ def _by_unit(words: Sequence[str], left: Sequence[str]) -> str | None:
         return "motor_position"
     letters = [w for w in words if not w.isdigit()]
     if len(letters) == 1:  # a joint's name and a unit
-        return {"mm": "motor_position", "nm": "torque", "mnm": "torque", "knm": "torque"}.get(letters[0])
+        return {"mm": "motor_position", **dict.fromkeys(_TORQUES, "torque")}.get(letters[0])
     return _OF_LETTERS.get(tuple(letters))
 
 

@@ -7,38 +7,25 @@ from the times; an option overrules each of these.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90b_flex.files.keys import suggestion
 from rx90b_flex.pieces import Array
-from rx90b_flex.signals.column_names import FORCE, find_words, is_time, signal_of, time_words, unnumbered
-from rx90b_flex.signals.logs import TIME, read_log, stem_of
+from rx90b_flex.signals.columns import ColumnFinder, PlacedColumn
+from rx90b_flex.signals.import_options import FIELDS, Axes, Finding, Findings, ReadingOptions
+from rx90b_flex.signals.logs import read_log, stem_of
 from rx90b_flex.signals.readers.reader import Log
-from rx90b_flex.signals.recording import REQUIRED, SIGNALS, Recording, Role
+from rx90b_flex.signals.recording import REQUIRED, Recording, Role
 from rx90b_flex.signals.tables import LARGEST
-from rx90b_flex.signals.times import printed_resolution, seconds_and_nanoseconds
-from rx90b_flex.signals.units import (
-    DEGREE,
-    TIME_UNITS,
-    foreign_unit,
-    is_time_unit,
-    time_unit_in_row,
-    unit_in_name,
-    unit_in_row,
-    words_of,
-)
+from rx90b_flex.signals.times import printed_resolution
+from rx90b_flex.signals.units import DEGREE
 
-Sureness = Literal["stated", "sure", "likely"]
-
-# key of a campaign file -> field of a recording, of what can be told by words in names
-FIELDS = {s.key: s.field for s in SIGNALS if s.key != "joint_torque"}
 SPLIT = 0.7  # of a single file: the part that is fitted
 NEAR_RATE = 0.01  # that a rate may lie beside the median one and be the same
 JITTER = 0.01  # of a sample period: times closer to a grid than this are on it
@@ -50,66 +37,6 @@ FEWEST_S = 4.0  # s of identification, of which close-loop holds parts out
 FEWEST_SAMPLES = 64  # below which there is no spectrum to tell noise from motion
 MIXED = 8.0  # times the motion of another file, in the numbers of both: they are in different units
 SLOWEST_HZ, FASTEST_HZ = 0.1, 1e6  # rates that a log may have
-
-
-@dataclass(frozen=True)
-class Axes:
-    """What an import needs to know of the robot.
-
-    Attributes
-    ----------
-    joints : names, in tree order.
-    lower, upper : position limits, rad, one a joint.
-    prismatic : whether a joint's positions are in m, one a joint; empty: none's are.
-    """
-
-    joints: tuple[str, ...]
-    lower: tuple[float, ...]
-    upper: tuple[float, ...]
-    prismatic: tuple[bool, ...] = ()
-
-    def turns(self, joint: str) -> bool:
-        """Whether a joint's positions are angles."""
-        return not self.prismatic or not self.prismatic[self.joints.index(joint)]
-
-
-@dataclass(frozen=True)
-class ReadingOptions:
-    """What the user says, and so is not worked out.
-
-    Attributes
-    ----------
-    columns : signal of a campaign file -> one column a joint, in the order of `joints`.
-    joints : joints of the robot that the columns belong to, in their order; empty: by names and numbers.
-    rate_hz : sample rate; needed where there is no time column, otherwise the rate to resample to.
-    degrees : whether angles and their rates are in degrees; None: by names and by the robot's limits.
-    gear : one row of motor turns a joint turn, or a row a motor where joints are coupled: the columns are motor side, and motor
-        angle = gear @ (joint angle - offset). Empty: joint side.
-    offset : rad, one a joint; empty: none.
-    topic : of a bag.
-    """
-
-    columns: Mapping[str, Sequence[str]] = dataclasses.field(default_factory=dict)
-    joints: tuple[str, ...] = ()
-    rate_hz: float | None = None
-    degrees: bool | None = None
-    gear: tuple[tuple[float, ...], ...] = ()
-    offset: tuple[float, ...] = ()
-    topic: str | None = None
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Something worked out: what, and how sure that is.
-
-    Stated: an option says so. Sure: names or the format say so. Likely: numbers in names, sizes or limits suggest it.
-    """
-
-    what: str
-    sure: Sureness
-
-    def __str__(self) -> str:
-        return f"{self.what} ({self.sure})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,18 +51,6 @@ class Imported:
 
     recordings: tuple[Recording, ...]
     findings: tuple[tuple[str, Finding], ...]
-
-
-@dataclass(frozen=True)
-class _Column:
-    """A column's role."""
-
-    name: str
-    signal: str
-    joint: str
-    sure: Sureness
-    scale: float | None  # to SI; None: the name says no unit
-    extra: int  # words of the name that say nothing known
 
 
 def import_logs(files: Sequence[Path], axes: Axes, options: ReadingOptions | None = None) -> Imported:
@@ -163,7 +78,7 @@ def import_logs(files: Sequence[Path], axes: Axes, options: ReadingOptions | Non
     _check_options(options, axes)
     _refuse_the_same_file(files)
     imports = _all_in_one_unit(files, axes, options)
-    of_all = _Findings()
+    of_all = Findings()
     parts = _alike([i.recording for i in imports], options, of_all)
     if len(parts) == 1:
         recordings = _split(parts[0])
@@ -180,14 +95,7 @@ def import_logs(files: Sequence[Path], axes: Axes, options: ReadingOptions | Non
     return Imported(recordings, (*by_file, *(("all files", finding) for finding in of_all)))
 
 
-class _Findings(list[Finding]):
-    """What is worked out, in the order in which it is."""
-
-    def add(self, what: str, sure: Sureness = "sure") -> None:
-        self.append(Finding(what, sure))
-
-
-def _warn_of_short(recordings: Sequence[Recording], found: _Findings) -> None:
+def _warn_of_short(recordings: Sequence[Recording], found: Findings) -> None:
     """A word where recordings are so short that what is found in them is uncertain, or that a search cannot be made."""
     fitted = sum(r.duration_s for r in recordings if r.role == "identification")
     fewest = min(r.samples for r in recordings)
@@ -265,11 +173,11 @@ class _Import:
 
     def __init__(self, log: Log, axes: Axes, options: ReadingOptions) -> None:
         self.log, self.axes, self.options = log, axes, options
-        self.found = _Findings(Finding(note, "sure") for note in log.notes)
+        self.found = Findings(Finding(note, "sure") for note in log.notes)
         self.found += [Finding(note, "likely") for note in log.assumed]
-        self._beyond: list[str] = []  # columns with the number of a joint that is not there
-        time, time_name = self._time()
-        joints, signals = self._complete(self._places(time_name))
+        finder = ColumnFinder(log, axes, options, self.found)
+        time, time_name = finder.time()
+        joints, signals = finder.signals(time_name)
         names = [c.name for columns in signals.values() for c in columns]
         rows, used = self._usable(names, time)
         begin = used[0] - time[0]  # what drifts with time counts it from where the log began
@@ -291,232 +199,11 @@ class _Import:
     def _problem(self, what: str) -> ValueError:
         return ValueError(f"{self.log.path}: {what}")
 
-    def _time(self) -> tuple[Array, str | None]:
-        """Times, and the column that they are in."""
-        log, options = self.log, self.options
-        if log.time is not None:
-            return log.time, None
-        stamp = seconds_and_nanoseconds(log.names)
-        if stamp is not None:
-            seconds, rest = (log.column(name) for name in stamp)
-            self.found.add(f"time: columns {stamp[0]!r} and {stamp[1]!r}, in s and ns")
-            return seconds - seconds[0] + 1e-9 * (rest - rest[0]), stamp[0]
-        candidates = [name for name in log.names if is_time(name)]
-        exact = [name for name in candidates if name.lower() == TIME]
-        if not candidates and options.rate_hz is None:  # the only one that is in seconds, as dates with times are
-            in_seconds = [name for name in log.names if is_time_unit(log.units.get(name, ""))]
-            candidates = in_seconds if len(in_seconds) == 1 else []
-        if candidates:
-            name = (exact or candidates)[0]
-            time = log.column(name) - log.column(name)[0]
-            below = self._in_row(name, time_unit_in_row)
-            stated = [TIME_UNITS[w] for w in time_words(name)[1:] if w in TIME_UNITS] if below is None else [below]
-            step = float(np.nanmedian(np.abs(np.diff(time))))
-            # the unit in which the rate is one that robots are logged at
-            scale = stated[0] if stated else next((s for s in (1.0, 1e-3, 1e-6, 1e-9) if 0.0 < step * s <= 0.2), 1.0)
-            unit = next(u for u, s in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6), ("ns", 1e-9)) if s == scale)
-            sure = bool(stated) or (scale == 1.0 and step > 1e-5)
-            self.found.add(f"time: column {name!r}, in {unit}", "sure" if sure else "likely")
-            return time * scale, name
-        if options.rate_hz is None:
-            for name in log.words:
-                if is_time(name):
-                    self._refuse_words(name, "time")
-            raise self._problem("no time column; expected one named time, or --rate with the sample rate in Hz")
-        self.found.add(f"time: {options.rate_hz:g} Hz", "stated")
-        return np.arange(len(log.values)) / options.rate_hz, None
-
-    # which column is what
-
-    def _places(self, time_name: str | None) -> dict[str, list[_Column]]:
-        """Signal -> columns that can hold it."""
-        log, stated = self.log, self.options.columns
-        taken = {name for names in stated.values() for name in names}
-        for name in taken:
-            if name not in log.names:
-                raise self._problem(f"no column {name!r}{suggestion(name, log.names)}")
-        read: dict[str, list[_Column]] = {}
-        numbered = [n for n in log.names if n not in taken and n != time_name]
-        # columns that are called alike count from 0 where one of them says so
-        zeros = {unnumbered(n) for n in numbered if self._number_in(n) == 0}
-        for name in numbered:
-            column = self._column(name, unnumbered(name) in zeros)
-            if column is not None and column.signal not in stated:
-                read.setdefault(column.signal, []).append(column)
-        if self._beyond:
-            count = len(self.options.joints or self.axes.joints)
-            self.found.add(f"left out, for joints are counted to {count}: {', '.join(self._beyond)}", "likely")
-        for name in log.words:
-            column = self._column(name, unnumbered(name) in zeros)
-            if column is not None and column.signal in REQUIRED and column.signal not in stated:
-                self._refuse_words(name, f"{column.signal} of {column.joint}")
-        joints = self.options.joints or self.axes.joints
-        first = next(iter(stated), "")
-        for signal, names in stated.items():
-            most = "" if self.options.joints else "at most "
-            if len(names) > len(joints) or (self.options.joints and len(names) < len(joints)):
-                raise ValueError(
-                    f"--columns {signal} lists {len(names)} columns; expected {most}{len(joints)}, one a joint"
-                )
-            if len(names) != len(stated[first]):
-                raise ValueError(
-                    f"--columns {signal} lists {len(names)} columns, {first} {len(stated[first])}; expected one each a joint"
-                )
-            read[signal] = [
-                _Column(name, signal, joint, "stated", self._unit(name, signal), 0)
-                for name, joint in zip(names, joints, strict=False)
-            ]
-        return read
-
-    def _refuse_words(self, name: str, what: str) -> None:
-        raise self._problem(f"column {name!r} can be {what}, but holds {self.log.words[name]!r}, which is no number")
-
-    def _column(self, name: str, from_zero: bool) -> _Column | None:
-        """What a column is by the format itself, else by its name; None: nothing known."""
-        joints, words, sure = self.axes.joints, words_of(name), True
-        if self.log.roles:
-            role, joint = self.log.roles[name]
-            return _Column(name, role, joint, "sure", 1.0, 0) if joint in joints else None
-        for joint in sorted(joints, key=len, reverse=True):  # shoulder_pan before shoulder
-            place = find_words(words_of(joint), words)
-            # where columns count from 0, the second one is no joint 1
-            if place is not None and not (from_zero and words_of(joint)[-1].isdigit()):
-                rest = words[: place[0]] + words[place[1] :]
-                break
-        else:
-            number, among = _last_number(words), self.options.joints or joints
-            index = 0 if number is None else number if from_zero else number - 1
-            named = self._named.get(number) if number is not None and not self.options.joints else None
-            if named is None and (not 0 <= index < len(among) or (number is None and len(among) != 1)):
-                if number is not None and signal_of([w for w in words if not w.isdigit()])[0] in REQUIRED:
-                    self._beyond.append(name)
-                return None
-            joint, sure = named or among[index], number is None or named is not None
-            rest = [w for w in words if not w.isdigit()]
-        if self.axes.prismatic and self.axes.prismatic[joints.index(joint)]:
-            rest = ["torque" if w in FORCE else w for w in rest]
-        signal, left = signal_of(rest)
-        if signal is None:  # perhaps the unit in the row below tells
-            signal, left = signal_of([*rest, *words_of(self.log.units.get(name, ""))])
-        if signal is None:
-            return None
-        if foreign := foreign_unit(name):
-            self.found.add(f"column {name!r}: left out, for it is in {foreign}")
-            return None
-        return _Column(name, signal, joint, "sure" if sure else "likely", self._unit(name, signal), len(left))
-
-    @cached_property
-    def _named(self) -> dict[int, str]:
-        """Number -> joint, where columns of words name them, as `field.name0` does."""
-        numbers = {
-            name: [int(w) for w in words_of(name) if w.isdigit()] for name in self.log.words if "name" in words_of(name)
-        }
-        return {
-            n[-1]: self.log.words[name] for name, n in numbers.items() if n and self.log.words[name] in self.axes.joints
-        }
-
-    def _unit(self, name: str, signal: str) -> float | None:
-        """What brings a column to SI, by its name, else by the unit below that; None where neither says one."""
-        if signal == "motor_current":
-            return 1e-3 if "ma" in words_of(f"{name} {self.log.units.get(name, '')}") else 1.0
-        if foreign := foreign_unit(name):
-            raise self._problem(f"column {name!r} is in {foreign}, which import does not bring to SI")
-        scale = unit_in_name(signal, words_of(name))
-        return self._in_row(name, lambda text: unit_in_row(signal, text)) if scale is None else scale
-
-    def _in_row(self, name: str, read: Callable[[str], float | None]) -> float | None:
-        """What a unit below a column's name says; None where there is none."""
-        try:
-            return read(self.log.units.get(name, ""))
-        except ValueError as error:
-            raise self._problem(f"column {name!r}: {error}; bring it to one of these, or take the unit away") from None
-
-    def _number_in(self, name: str) -> int | None:
-        """The number of a joint in a name: its last one, where no joint's own name is in it."""
-        words = words_of(name)
-        if any(find_words(words_of(joint), words) for joint in self.axes.joints):
-            return None
-        return _last_number(words)
-
-    def _complete(self, places: Mapping[str, list[_Column]]) -> tuple[tuple[str, ...], dict[str, list[_Column]]]:
-        """The joints that have position and torque, and the signals that all of these have."""
-        by_joint: dict[str, dict[str, _Column]] = {}
-        for signal, columns in places.items():
-            at = by_joint.setdefault(signal, {})
-            for column in sorted(columns, key=lambda c: c.extra):
-                other = at.setdefault(column.joint, column)
-                if other is not column and other.extra == column.extra:
-                    raise self._problem(
-                        f"columns {other.name!r} and {column.name!r} can both be {signal} of {column.joint}; "
-                        f"choose with --columns {signal}=..."
-                    )
-        from_current = self._from_current(by_joint)
-        required = ("motor_position", "motor_current") if from_current else REQUIRED
-        for signal in required:
-            if not by_joint.get(signal):
-                raise self._nothing_found(signal)
-        by_joint.pop("torque" if from_current else "motor_current", None)
-        wanted = self.options.joints or self.axes.joints
-        joints = tuple(j for j in wanted if all(j in by_joint[signal] for signal in required))
-        if not joints:
-            shown = "; ".join(f"{signal} of {', '.join(c.joint for c in cs)}" for signal, cs in places.items())
-            raise self._problem(f"no joint has both position and torque; {shown}")
-        signals = {}
-        for signal in FIELDS:
-            at = by_joint.get(signal, {})
-            have = [at[j] for j in joints if j in at]
-            if len(have) == len(joints):
-                signals[signal] = have
-                sure: Sureness = next((s for s in ("likely", "sure") if any(c.sure == s for c in have)), "stated")
-                self.found.add(f"{signal}: {', '.join(c.name for c in have)} for {', '.join(joints)}", sure)
-            elif have:
-                self.found.add(f"{signal}: left out, none for {', '.join(j for j in joints if j not in at)}")
-        if from_current:
-            self.found.add(
-                "no torques, but currents: torque constants are identified; [motor] torque_constant states them"
-            )
-        without = [j for j in wanted if j not in joints]
-        for signal in required:
-            half = [j for j in without if j not in by_joint[signal] and any(j in by_joint[s] for s in required)]
-            without = [j for j in without if j not in half]
-            if half:
-                why = f"no column can be their {signal}; choose with --columns {signal}=..."
-                self.found.add(f"held at zero though there are columns of them: {', '.join(half)}: {why}", "likely")
-        if without:
-            self.found.add(f"held at zero, for they have no columns: {', '.join(without)}")
-        return joints, signals
-
-    def _from_current(self, by_joint: Mapping[str, Mapping[str, _Column]]) -> bool:
-        """Whether torques come from currents: these are all there is, or the ones that were asked for."""
-        stated = self.options.columns
-        if "torque" in by_joint and "motor_current" in by_joint:
-            currents = "motor_current" in stated and "torque" not in stated
-            left, used = ("torque", "currents") if currents else ("motor_current", "torques")
-            names = ", ".join(c.name for c in by_joint[left].values())
-            choice = (
-                ""
-                if stated.keys() & {"torque", "motor_current"}
-                else "; --columns motor_current=... takes the currents"
-            )
-            self.found.add(f"{left}: left out, for {used} are used: {names}{choice}")
-            return currents
-        return "motor_current" in by_joint
-
-    def _nothing_found(self, signal: str) -> ValueError:
-        log, joints, hint = self.log, self.axes.joints, ""
-        shown = ", ".join(repr(n) for n in log.names[:12]) + (" and others" if len(log.names) > 12 else "")
-        if signal == "torque":
-            hint = "; where a log has currents alone, name them with --columns motor_current=..."
-        if log.roles and not any(joint in joints for _, joint in log.roles.values()):
-            hint = f"; the robot's joints are {', '.join(joints)}"
-        return self._problem(
-            f"no column can be {signal}; it has {shown}{hint}; "
-            f"choose with --columns {signal}=NAME,NAME,... (one a joint of {', '.join(joints)})"
-        )
-
     # units
 
-    def _to_si(self, joints: tuple[str, ...], signals: Mapping[str, list[_Column]], values: dict[str, Array]) -> float:
+    def _to_si(
+        self, joints: tuple[str, ...], signals: Mapping[str, list[PlacedColumn]], values: dict[str, Array]
+    ) -> float:
         """Bring values to SI, in place; what the first joint's angles were multiplied with."""
         degrees = self.options.degrees
         position = signals["motor_position"]
@@ -544,7 +231,7 @@ class _Import:
                 first = float(scales[0])
         return first
 
-    def _looks_like_degrees(self, joints: tuple[str, ...], columns: Sequence[_Column], position: Array) -> bool:
+    def _looks_like_degrees(self, joints: tuple[str, ...], columns: Sequence[PlacedColumn], position: Array) -> bool:
         """Whether angles fit the robot's limits in degrees but not in rad; refused where they fit in neither."""
         at = [self.axes.joints.index(j) for j in joints]
         lower, upper = np.array(self.axes.lower)[at], np.array(self.axes.upper)[at]
@@ -578,7 +265,7 @@ class _Import:
         if offset and len(offset) != count:
             raise ValueError(f"--offset lists {len(offset)} numbers; expected one for each of {', '.join(joints)}")
         for signal, array in values.items():
-            if signal == "link_position":
+            if signal in ("link_position", "joint_torque"):
                 continue
             if signal == "motor_current":
                 # torque constants are the joints': a motor that turns the other way pulls the other way
@@ -613,8 +300,11 @@ class _Import:
         time = time[rows]
         back = np.flatnonzero(np.diff(time) < 0.0)
         if len(back):
-            raise self._problem(f"row {rows[back[0] + 1] + 1}: time runs backwards, from {time[back[0]]:.9g} s "
-                                f"to {time[back[0] + 1]:.9g} s after the start")  # fmt: skip
+            row = int(back[0]) + 1
+            raise self._problem(
+                f"row {rows[row] + 1}: time runs backwards, from {time[row - 1]:.9g} s to {time[row]:.9g} s after the start; "
+                "cut the file there into two logs, and import both"
+            )
         fresh = np.r_[True, np.diff(time) > 0.0]
         if fresh.mean() < TICKS and (even := _between_ticks(time)) is not None:
             tick = float(np.median(np.diff(time[fresh])))
@@ -720,7 +410,7 @@ def _round_rate(rate: float, slack: float = 0.0) -> float:
 # ---- all files together ---------------------------------------------------------------------------------------
 
 
-def _alike(parts: list[Recording], options: ReadingOptions, found: _Findings) -> list[Recording]:
+def _alike(parts: list[Recording], options: ReadingOptions, found: Findings) -> list[Recording]:
     """The same rate, joints and signals in every recording."""
     rate = options.rate_hz or parts[0].sample_rate_hz
     for k, part in enumerate(parts):
@@ -779,8 +469,3 @@ def _split(whole: Recording) -> tuple[Recording, ...]:
 
 def _unique(names: Sequence[str]) -> list[str]:
     return [f"{n}_{names[: k + 1].count(n)}" if names.count(n) > 1 else n for k, n in enumerate(names)]
-
-
-def _last_number(words: Sequence[str]) -> int | None:
-    numbers = [int(w) for w in words if w.isdigit()]
-    return numbers[-1] if numbers else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +28,7 @@ class Log:
     words : columns that hold no numbers -> what stands in their first row.
     units : column -> unit, where a row below the names says so.
     assumed : what was taken for likely while reading, a line each.
+    twice : names of several columns -> how many; these are left out of `names`, and refused where they can be used.
     """
 
     path: Path
@@ -38,6 +40,7 @@ class Log:
     words: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     assumed: tuple[str, ...] = ()
+    twice: Mapping[str, int] = field(default_factory=dict)
 
     def column(self, name: str) -> Array:
         """(N,) values of a column."""
@@ -74,13 +77,13 @@ class Reader(ABC):
 
 
 def log_of(path: Path, names: Sequence[str], values: Array, notes: Sequence[str]) -> Log:
-    """Columns of a table as a log, each name once and more than one row."""
-    for name in names:
-        if list(names).count(name) > 1:
-            raise ValueError(f"{path}: column {name!r} is there {list(names).count(name)} times")
+    """Columns of a table as a log, without those whose name is there twice; ValueError for less than two rows."""
     if len(values) < 2:
         raise ValueError(f"{path}: {len(values)} rows of numbers; expected more")
-    return Log(path, tuple(names), values, tuple(notes))
+    counts = Counter(names)
+    once = [k for k, name in enumerate(names) if counts[name] == 1]
+    twice = {name: count for name, count in counts.items() if count > 1}
+    return Log(path, tuple(names[k] for k in once), values[:, once], tuple(notes), twice=twice)
 
 
 def readers() -> dict[str, type[Reader]]:

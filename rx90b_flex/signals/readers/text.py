@@ -9,6 +9,7 @@ import datetime
 import gzip
 import itertools
 import re
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,10 @@ from rx90b_flex.signals.units import are_units
 
 COMMENTS = ("#", "%", "//")
 SEPARATORS = (",", ";", "\t", "|", " ")
+# with decimal commas, semicolons or tabs divide as often
+_RANK = {separator: rank for rank, separator in enumerate((";", "\t", "|", ",", " "))}
+SEARCHED = 400  # lines among which the names of the columns are looked for
+_CURE = "; the line of column names was not found: put # before lines that stand above it"
 _WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
 # ISO 8601, as pandas and most loggers write dates with times; 31.12.2025 for the date; a time of day alone
 _STAMP = re.compile(
@@ -42,7 +47,7 @@ class TextReader(Reader):
         lines = _without_comments(lines[1:] if lines and _EXCEL.fullmatch(lines[0]) else lines)
         if len(lines) < 2:
             raise ValueError(f"{path}: {len(lines)} lines; expected a line of column names and rows of numbers")
-        separator = _separator(lines)
+        separator, lines, above = _from_the_header(lines)
         if separator is None:
             raise ValueError(
                 f"{path}: one column only; expected columns between commas, semicolons, tabs, bars or blanks"
@@ -51,11 +56,12 @@ class TextReader(Reader):
         if all(_number(cell, False) is not None for cell in header):
             raise ValueError(f"{path}: the first line holds numbers; a line of column names is expected")
         units = _units(header, lines, separator)
-        log = _read_rows(path, header, lines[2 if units else 1 :], separator)
+        cure = "" if _is_header(lines, separator) else _CURE
+        log = _read_rows(path, header, lines[2 if units else 1 :], separator, cure)
         if units:
             log = dataclasses.replace(log, notes=(*log.notes, "a row of units below the names"))
         # what a column is read in, as of dates with times, overrules what stands below its name
-        return dataclasses.replace(log, units={**units, **log.units}, assumed=(*assumed, *log.assumed))
+        return dataclasses.replace(log, units={**units, **log.units}, assumed=(*assumed, *above, *log.assumed))
 
 
 def _decoded(path: Path, raw: bytes) -> tuple[str, list[str]]:
@@ -97,6 +103,35 @@ def _without_comments(lines: list[str]) -> list[str]:
     return [names, *rows]
 
 
+def _from_the_header(lines: list[str]) -> tuple[str | None, list[str], list[str]]:
+    """What divides the columns, the lines from that of the names on, and what was assumed of those above it."""
+    usual = _separator(lines)
+    if usual is not None and _is_header(lines, usual):
+        return usual, lines, []
+    for separator in sorted(SEPARATORS, key=_RANK.__getitem__):
+        cells = [_cells(line, separator) for line in lines[:SEARCHED]]
+        width = Counter(map(len, cells)).most_common(1)[0][0]
+        # what is as wide and full above it may be the names, or numbers that are not to be lost
+        full = [len(row) == width and 2 * sum(bool(cell.strip()) for cell in row) > width for row in cells]
+        first = full.index(True) if True in full else 0
+        if width > 1 and first > 0 and _is_header(lines[first:], separator):
+            return separator, lines[first:], [f"{first} lines before the header left out"]
+    return usual, lines, []
+
+
+def _is_header(lines: list[str], separator: str) -> bool:
+    """Whether the first line holds words for the most part, and the one below it, or below a row of units, numbers."""
+    names, *rows = ([cell.strip().strip('"') for cell in _cells(line, separator)] for line in lines[:3])
+    if len(rows) > 1 and are_units(rows[0]):
+        rows = rows[1:]
+    if not rows or len(rows[0]) != len(names):
+        return False
+    words = [name for name in names if name and _number(name, separator != ",") is None]
+    cells = [cell for cell in rows[0] if cell]
+    numbers = [cell for cell in cells if _STAMP.fullmatch(cell) or _number(cell, separator != ",") is not None]
+    return 2 * len(words) > len(names) and 2 * len(numbers) >= len(cells) > 0
+
+
 def _units(header: list[str], lines: list[str], separator: str) -> dict[str, str]:
     """Column -> unit, where a row of them stands below the names; else empty."""
     cells = [cell.strip().strip('"') for cell in _cells(lines[1], separator)]
@@ -107,28 +142,35 @@ def _units(header: list[str], lines: list[str], separator: str) -> dict[str, str
     return dict(zip(header, cells, strict=True))
 
 
-def _read_rows(path: Path, header: list[str], lines: list[str], separator: str) -> Log:
+def _read_rows(path: Path, header: list[str], lines: list[str], separator: str, cure: str) -> Log:
     first = [cell for cell in _cells(lines[0], separator) if not _STAMP.fullmatch(cell.strip())]
     decimal_comma = separator != "," and any("," in cell for cell in first) and "." not in "".join(first)
     notes = [f"columns between {_WORDS[separator]}" + (", decimal commas" if decimal_comma else "")]
     try:  # quickly, where every cell is a number
         values = np.loadtxt(lines, delimiter=None if separator == " " else separator, ndmin=2, comments=None)
     except ValueError:
-        return _read_cells(path, header, [_cells(line, separator) for line in lines], decimal_comma, notes)
+        return _read_cells(path, header, [_cells(line, separator) for line in lines], decimal_comma, notes, cure)
+    if not any(header[values.shape[1] :]):  # separators behind the last name
+        header = header[: values.shape[1]]
     if values.shape[1] != len(header):
-        raise ValueError(f"{path}: row 1 has {values.shape[1]} cells, the header has {len(header)}")
+        raise ValueError(f"{path}: row 1 has {values.shape[1]} cells, the header has {len(header)}{cure}")
     kept = [c for c in range(len(header)) if header[c]]
     return log_of(path, [header[c] for c in kept], values[:, kept], notes)
 
 
-def _read_cells(path: Path, header: list[str], rows: list[list[str]], decimal_comma: bool, notes: list[str]) -> Log:
+def _read_cells(
+    path: Path, header: list[str], rows: list[list[str]], decimal_comma: bool, notes: list[str], cure: str
+) -> Log:
     """Cell by cell: empty ones, words, decimal commas, dates with times."""
-    header, values = list(header), np.empty((len(rows), len(header)))
+    header, (rows, told) = list(header), _without_empty_ends(rows, header)
+    if not rows:
+        raise ValueError(f"{path}: no row of numbers")
+    values, notes = np.empty((len(rows), len(header))), [*notes, *told]
     stamps = {c for c, cell in enumerate(rows[0]) if _STAMP.fullmatch(cell.strip().strip('"'))}
     text_columns: set[int] = set()
     for r, row in enumerate(rows):
         if len(row) != len(header):
-            raise ValueError(f"{path}: row {r + 1} has {len(row)} cells, the header has {len(header)}")
+            raise ValueError(f"{path}: row {r + 1} has {len(row)} cells, the header has {len(header)}{cure}")
         for c, cell in enumerate(row):
             if c in stamps:
                 continue
@@ -151,6 +193,28 @@ def _read_cells(path: Path, header: list[str], rows: list[list[str]], decimal_co
     words = {header[c]: rows[0][c].strip()[:40] for c in sorted(text_columns) if header[c]}
     log = log_of(path, [header[c] for c in kept], values[:, kept], notes)
     return dataclasses.replace(log, words=words, units=units)
+
+
+def _without_empty_ends(rows: list[list[str]], header: list[str]) -> tuple[list[list[str]], list[str]]:
+    """Rows without empty ones at the end, and each as wide as the header where only empty cells differ; what was left out."""
+
+    def empty(cells: list[str]) -> bool:
+        return not any(cell.strip() for cell in cells)
+
+    count, width = len(rows), len(header)
+    while count and empty(rows[count - 1]):
+        count -= 1
+    told = [f"{len(rows) - count} empty rows at the end left out"] if count < len(rows) else []
+    out, beyond = [], 0
+    for row in rows[:count]:
+        if len(row) > width and empty(row[width:]):
+            row, beyond = row[:width], beyond + 1
+        elif len(row) < width and not any(header[len(row) :]):
+            row = row + [""] * (width - len(row))
+        out.append(row)
+    if beyond:
+        told.append(f"empty cells beyond the last column left out, in {beyond} rows")
+    return out, told
 
 
 def _seconds(path: Path, name: str, cells: list[str]) -> NDArray[np.float64]:
@@ -189,9 +253,7 @@ def _separator(lines: list[str]) -> str | None:
             found.append((counts.pop(), separator))
     if not found:  # a row is wrong: go by the header, and let the row be told
         found = [(len(_cells(lines[0], s)), s) for s in SEPARATORS if len(_cells(lines[0], s)) > 1]
-    # with decimal commas, semicolons or tabs divide as often
-    order = {separator: -rank for rank, separator in enumerate((";", "\t", "|", ",", " "))}
-    return max(found, key=lambda pair: (order[pair[1]] if pair[1] != " " else -9, pair[0]))[1] if found else None
+    return min(found, key=lambda pair: (_RANK[pair[1]], -pair[0]))[1] if found else None
 
 
 def _cells(line: str, separator: str) -> list[str]:
