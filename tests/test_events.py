@@ -52,6 +52,14 @@ def test_neither_the_beginning_nor_rests_hold_events():
     assert found(NOISE + np.column_stack([bump(9.0, 60.0), 0 * TIME]), resting) == []
 
 
+def test_what_hysteresis_holds_as_a_recording_begins_is_no_event():
+    for at_s, held in ((0.7, "presliding_friction"), (6.0, "")):
+        left = NOISE + np.column_stack([0 * TIME, bump(at_s, 60.0)])
+        (one,) = events(JOINTS, ["a"], [RATE_HZ], [left], [VELOCITY], {"elbow": "presliding_friction"})
+        assert one.held_by == held
+        assert ("what presliding_friction holds as a recording begins" in one.words(False)) == bool(held)
+
+
 def test_an_error_that_lies_before_the_first_move_is_told_and_what_it_is_elsewhere():
     still = waiting(VELOCITY * (TIME > 1.0)[:, None], RATE_HZ)
     held = NOISE + 20.0 * (TIME < 1.0)[:, None]

@@ -501,10 +501,11 @@ class _Ended:
         known = explainable if isinstance(explainable, Explainable) else None
         beyond = self._beyond_model()
         doubtful = bool(cautions) or in_doubt or (floor is None and bool(beyond))
-        happened, drifts = _events(campaign.joints, predictions), _slow(campaign, predictions)
+        happened = _events(campaign.joints, predictions, model.effects)
+        drifts, odd = _slow(campaign, predictions), [e for e in happened if not e.held_by]
         spread, found = np.concatenate([p.torque for p in predictions]).std(axis=0), bool(standing.steps)
         scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
-        rest = (where, doubtful, spread, happened, bool(drifts or seldom), self._curved)
+        rest = (where, doubtful, spread, odd, bool(drifts or seldom), self._curved)
         remains = Remains(campaign.joints, found, before, after, floor, known, *rest)
         tell("done", 1.0)
         return ClosedLoop(
@@ -659,10 +660,12 @@ def _check_torques(campaign: Campaign) -> None:
             )
 
 
-def _events(joints: Sequence[str], predictions: Sequence[Prediction]) -> tuple[Events, ...]:
+def _events(joints: Sequence[str], predictions: Sequence[Prediction], effects: Sequence[Effect]) -> tuple[Events, ...]:
     recordings = [p.recording for p in predictions]
     left, velocity = [p.torque - p.after for p in predictions], [p.velocity for p in predictions]
-    return events(joints, [r.name for r in recordings], [r.sample_rate_hz for r in recordings], left, velocity)
+    remembering = {j: e.type_name() for e in effects if e.traits.remembers for j in e.joints}
+    rates = [r.sample_rate_hz for r in recordings]
+    return events(joints, [r.name for r in recordings], rates, left, velocity, remembering)
 
 
 def _slow(campaign: Campaign, predictions: Sequence[Prediction]) -> tuple[Slow | SlowAtRest, ...]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ REST_S = 0.05  # where a joint rests for longer, its friction depends on what wa
 SHORT = 0.05  # of the time in which a joint moves: what lasts longer is no event
 LARGE = 0.5  # of a joint's squared error: so much in so short a time is one
 TIMES = 5.0  # root mean square there over that elsewhere, at the least
+FIRST_S = 1.0  # of a recording, in which what remembers the motion still acts as what was before has it
 FEW = 3  # what happens oftener belongs to the motion
 
 
@@ -31,18 +33,23 @@ class Events:
         Part of the joint's squared error in motion that lies in them, 0 to 1.
     times : float
         Root mean square there over that elsewhere.
+    held_by : str
+        The effect of the joint that remembers what was before, where all these times are the first of a recording; else empty.
     """
 
     joint: str
     at: tuple[tuple[str, float], ...]
     share: float
     times: float
+    held_by: str = ""
 
     def words(self, follows_motion: bool) -> str:
         """One caution; other words where a free form of the motion leaves much less of the joint's error."""
         where = " and ".join(f"{time:.1f} s of {name}" for name, time in self.at)
         why = (
-            "smooth curves of its motion leave much less of it, so that it is a law which shows there, and has no name here."
+            f"what {self.held_by} holds as a recording begins follows from the motion before, which no log tells."
+            if self.held_by
+            else "smooth curves of its motion leave much less of it, so that it is a law which shows there, and has no name here."
             if follows_motion
             else "something happened there (it touched something, its encoder slipped, samples are wrong), or a law shows that no "
             "other part of these recordings does."
@@ -59,6 +66,7 @@ def events(
     rates_hz: Sequence[float],
     left: Sequence[Array],
     velocity: Sequence[Array],
+    remembering: Mapping[str, str] | None = None,
 ) -> tuple[Events, ...]:
     """Those of all joints, one entry a joint.
 
@@ -70,6 +78,8 @@ def events(
         Sample rates.
     left, velocity : sequence of arrays, each (N, joints)
         Torque error, N m (N), and velocity, rad/s (m/s), of every held-out recording.
+    remembering : mapping of str to str
+        Joint -> name of what acts there and remembers the motion before.
     """
     rest = resting_each(velocity)
     since = [begun(still, rate) for still, rate in zip(rest, rates_hz, strict=True)]
@@ -83,7 +93,8 @@ def events(
         ]
         found = _of(joint, parts)
         if found is not None:
-            out.append(found)
+            first = all(time < FIRST_S for _, time in found.at)
+            out.append(dataclasses.replace(found, held_by=(remembering or {}).get(joint, "") if first else ""))
     return tuple(out)
 
 
