@@ -283,6 +283,16 @@ def degrees_in_one(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected
 
 
 @fault
+def a_little_late_in_one(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected]:
+    late = round(float(rng.choice([-1.0, 1.0])) * rng.uniform(0.02, 0.05) * logs.rate_hz)
+
+    def shifted(x: Array) -> Array:
+        return x[np.clip(np.arange(len(x)) - late, 0, len(x) - 1)]
+
+    return replace(logs, torque=one(logs.torque, rng, shifted)), Expected("time_shift", logs.joints)
+
+
+@fault
 def degrees(logs: Logs, rng: np.random.Generator) -> tuple[Logs, Expected]:
     return replace(logs, position=each(logs.position, np.degrees)), Expected("unit", logs.joints)
 

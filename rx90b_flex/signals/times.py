@@ -104,7 +104,7 @@ def check_uniform(file: Path, time: Array, rate: float, resolution: Array, first
         row = int(np.argmax(bad)) + 1
         raise ValueError(
             f"{file}: column 'time', row {first + row + 1}: a step of {steps[row - 1]:.6g} s, {period:.6g} s is"
-            f" expected: samples must be uniform in time"
+            f" expected: samples must be uniform in time; cut the log there, or bring it to one rate with import"
         )
     mean = float(time[-1] - time[0]) / len(steps)
     if abs(mean - period) > 1e-3 * period + float(np.max(rounding)) / len(steps):
