@@ -57,11 +57,11 @@ def run(app: CommandLine, usage_error: type[Exception], name: str) -> int:
     except Stopped as error:
         status, line = INTERRUPTED, str(error)
     except BaseException as error:
-        if (
-            is_interrupt(error) or type(error).__name__ == "Abort"
-        ):  # what some releases of the library make of an interrupt
+        aborted = type(error).__name__ == "Abort"  # what some releases of the library make of an interrupt
+        if is_interrupt(error) or aborted:
             status, line = INTERRUPTED, "interrupted; nothing was written"
-        elif isinstance(error, BrokenPipeError | SystemExit):  # the library makes the second of the first
+        elif isinstance(error, BrokenPipeError | SystemExit) and not blamed(error):
+            # the library makes the second of the first
             _close_output()
             return NOBODY_READS
         elif os.environ.get(TRACEBACK) and not isinstance(error, ValueError | usage_error):
