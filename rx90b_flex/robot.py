@@ -259,14 +259,8 @@ class Robot:
 
     def on_links(self, motion: Motion, link_parameters: Array, effects: Sequence[Effect] = ()) -> Motion:
         """The same motion of the same tree with other link parameters and effects, as an identification finds them."""
-        before = motion.on_tree
-
-        def tree(moved: Motion) -> _RobotTreeMotion:
-            same = isinstance(before, _RobotTreeMotion) and all(getattr(moved, x) is getattr(motion, x) for x in "qva")
-            bodies = before.bodies if same else {}  # type: ignore[attr-defined]  # they know nothing of the links
-            return _RobotTreeMotion(self, moved, link_parameters, bodies, carried=known)
-
         known = tuple(e for e in effects if e.traits.in_dynamics and e.known)
+        tree = partial(_on_links, self, motion, link_parameters, known)
         return dataclasses.replace(motion, tree=tree, effects=known)
 
     def link_regressor(self, motion: Motion, columns: int = 0) -> Array:
@@ -608,9 +602,8 @@ class _RobotTreeMotion:
                 angle_noise=noise,
                 low_pass=motion.low_pass,
             )
-            self.hinged[hinges] = dataclasses.replace(
-                moved, tree=lambda m: _RobotTreeMotion(robot, m, links.ravel(), carried=carried)
-            )
+            tree = partial(_RobotTreeMotion, robot, link_parameters=links.ravel(), carried=carried)
+            self.hinged[hinges] = dataclasses.replace(moved, tree=tree)
         return self.hinged[hinges]
 
     def _own_links(self) -> pin.Model:
@@ -620,6 +613,13 @@ class _RobotTreeMotion:
             for (_, joint), body in zip(self.robot.bodies, self.link_parameters.reshape(-1, 10), strict=True):
                 model.inertias[joint] = _inertia(body)
         return model
+
+
+def _on_links(robot: Robot, motion: Motion, links: Array, known: tuple[Effect, ...], moved: Motion) -> _RobotTreeMotion:
+    before = motion.on_tree
+    same = isinstance(before, _RobotTreeMotion) and all(getattr(moved, x) is getattr(motion, x) for x in "qva")
+    bodies = before.bodies if same else {}  # type: ignore[attr-defined]  # they know nothing of the links
+    return _RobotTreeMotion(robot, moved, links, bodies, carried=known)
 
 
 def _inertia(body: Array) -> pin.Inertia:
