@@ -10,7 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
-from rx90b_flex.files.extensions import BrokenPackageWarning, blamed
+from rx90b_flex.files.extensions import blamed
+from rx90b_flex.files.warned import InputWarning
 from rx90b_flex.interrupts import interruptible, is_interrupt
 
 REFUSED = 2
@@ -107,18 +108,22 @@ def _one_line(text: str) -> str:
 def _quiet(name: str) -> Iterator[None]:
     """Warnings of libraries are for who programs, unless asked for by ``python -W`` or PYTHONWARNINGS.
 
-    So is what Python says of errors in a library's callbacks and destructors, which nobody can catch. One of a package that cannot be
-    used is a line.
+    So is what Python says of errors in a library's callbacks and destructors, which nobody can catch. An `InputWarning` is a
+    line, once.
     """
 
+    told: set[str] = set()
+
     def line(message: Warning | str, *_: Any, **__: Any) -> None:
-        print(f"{name}: warning: {_one_line(str(message))}", file=sys.stderr, flush=True)
+        if str(message) not in told:
+            print(f"{name}: warning: {_one_line(str(message))}", file=sys.stderr, flush=True)
+        told.add(str(message))
 
     said = sys.unraisablehook
     with warnings.catch_warnings():
         if not sys.warnoptions:
             warnings.simplefilter("ignore")
-            warnings.simplefilter("always", BrokenPackageWarning)
+            warnings.simplefilter("always", InputWarning)
             warnings.showwarning = line
             sys.unraisablehook = lambda _: None
         try:

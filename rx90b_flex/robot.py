@@ -654,7 +654,7 @@ def load_robot(source: str | os.PathLike[str] | Robot) -> Robot:
     ----------
     source : str, path or Robot
         A robot is returned as it is. A name in `robots_folder()` (``rx90b``), a robot file (``.toml``), a URDF (no effects), or
-        ``example-robot-data:NAME``.
+        ``example-robot-data:NAME``. Joints that mimic others are fixed, with an `InputWarning`: `Robot.followers`.
 
     Raises
     ------
@@ -699,7 +699,7 @@ def _from_urdf(
     source: str | Path, name: str, tip_frame: str | None = None, inertial_parameters: str = "fitted"
 ) -> Robot:
     read = virtual.read_urdf(source)
-    followers = tuple((joint.name, joint.mimic.joint) for joint in read.robot.joints if joint.mimic is not None)
+    followers = virtual.followers(read, str(source))
     urdf = virtual.to_xml(virtual.normalise(read))
     robot = Robot(name, urdf, "", inertial_parameters, (), followers=followers)
     for frame, inertia in zip(robot.tree.names, robot.tree.inertias, strict=True):

@@ -17,10 +17,12 @@ from importlib.metadata import EntryPoint, entry_points
 from types import FunctionType
 from typing import Any
 
+from rx90b_flex.files.warned import InputWarning
+
 EFFECTS, READERS, ESTIMATORS = "rx90b_flex.effects", "rx90b_flex.readers", "rx90b_flex.estimators"
 
 
-class BrokenPackageWarning(UserWarning):
+class BrokenPackageWarning(InputWarning):
     """Another package brings something that cannot be used."""
 
 
