@@ -24,7 +24,7 @@ from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.keys import check_keys
 from rx90b_flex.files.toml import named_in, read_toml
 from rx90b_flex.joint_units import SLIDES, TURNS, JointUnits, any_of
-from rx90b_flex.linearize import Linearization, joint_angle_transform, linearize
+from rx90b_flex.linearize import Linearization, check_one, joint_angle_transform, linearize
 
 if TYPE_CHECKING:
     from rx90b_flex.plant import Plant
@@ -336,13 +336,14 @@ class Robot:
         ----------
         q, v, a : array, shape (n,)
             Coordinates, rates and accelerations; at rest where v and a are not given. Friction at rest has its steep
-            slope at reversal, which holds the drives: linearise with a velocity to see them move.
+            slope at reversal, which holds the drives: linearise with a velocity to see them move. A ValueError names a
+            wrong shape, or an effect without a value.
         """
         q = np.asarray(q, dtype=float)
         rest = np.zeros_like(q)
-        moving = self.motion(q, rest if v is None else v, rest if a is None else a)
-        if len(moving) != 1:
-            raise ValueError(f"q, v and a hold {len(moving)} samples; expected one, of shape ({self.model.nv},)")
+        v, a = (rest if x is None else x for x in (v, a))
+        check_one(self.model.nv, q=q, v=v, a=a)
+        moving = self.motion(q, v, a)
         return linearize(self.forces, moving, self.motion(q, rest, rest), self.joints, self.input_matrix)
 
     def energy(self, q: Array, v: Array) -> float:
@@ -356,10 +357,9 @@ class Robot:
         return float(energy + sum(effect.potential(motion)[0] for effect in self.forces))
 
     def mass_matrix(self, q: Array) -> Array:
-        """Mass matrix of links and drives at q, shape (n,): shape (n, n), kg m^2."""
+        """Mass matrix of links and drives at q, shape (n,): shape (n, n), kg m^2. A ValueError names a wrong shape."""
+        check_one(self.model.nv, q=q)
         motion = self.motion(q, *np.zeros((2, self.model.nv)))
-        if len(motion) != 1:
-            raise ValueError(f"q holds {len(motion)} samples; expected one, of shape ({self.model.nv},)")
         mass = pin.crba(self.model, self._data, motion.q[0])
         mass = np.triu(mass) + np.triu(mass, 1).T
         for effect in self.forces:
