@@ -57,7 +57,7 @@ def check_jobs(jobs: int) -> None:
     Raises
     ------
     ValueError
-        One line that names the option.
+        One line that names it.
     """
     if not 1 <= jobs <= MOST_JOBS:
-        raise ValueError(f"--jobs is {jobs}; expected 1 to {MOST_JOBS}")
+        raise ValueError(f"jobs is {jobs}; expected 1 to {MOST_JOBS}")

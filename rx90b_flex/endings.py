@@ -10,8 +10,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
-from rx90b_flex.files.extensions import BrokenPackageWarning, blamed
-from rx90b_flex.interrupts import interruptible
+from rx90b_flex.files.extensions import blamed
+from rx90b_flex.files.warned import InputWarning
+from rx90b_flex.interrupts import interruptible, is_interrupt
 
 REFUSED = 2
 INTERNAL = 70  # EX_SOFTWARE of sysexits.h
@@ -54,22 +55,23 @@ def run(app: CommandLine, usage_error: type[Exception], name: str) -> int:
         if status != INTERRUPTED:
             return status
         line = "interrupted; nothing was written"
-    except KeyboardInterrupt:
-        status, line = INTERRUPTED, "interrupted; nothing was written"
     except Stopped as error:
         status, line = INTERRUPTED, str(error)
-    except (BrokenPipeError, SystemExit):  # the library makes the second of the first
-        _close_output()
-        return NOBODY_READS
-    except Exception as error:
-        if os.environ.get(TRACEBACK) and not isinstance(error, ValueError | usage_error):
+    except BaseException as error:
+        aborted = type(error).__name__ == "Abort"  # what some releases of the library make of an interrupt
+        if is_interrupt(error) or aborted:
+            status, line = INTERRUPTED, "interrupted; nothing was written"
+        elif isinstance(error, BrokenPipeError | SystemExit) and not blamed(error):
+            # the library makes the second of the first
+            _close_output()
+            return NOBODY_READS
+        elif os.environ.get(TRACEBACK) and not isinstance(error, ValueError | usage_error):
             raise
-        if type(error).__name__ == "NoArgsIsHelpError":  # its message is the help
+        elif type(error).__name__ == "NoArgsIsHelpError":  # its message is the help
             error.show()  # type: ignore[attr-defined]
             return REFUSED
-        status, line = _status_and_words(error, usage_error)
-        if type(error).__name__ == "Abort":  # what some releases of the library make of an interrupt
-            status, line = INTERRUPTED, "interrupted; nothing was written"
+        else:
+            status, line = _status_and_words(error, usage_error)
     with suppress(OSError):
         print(f"{name}: {_one_line(line)}", file=sys.stderr, flush=True)
     if status != REFUSED:
@@ -77,7 +79,7 @@ def run(app: CommandLine, usage_error: type[Exception], name: str) -> int:
     return status
 
 
-def _status_and_words(error: Exception, usage_error: type[Exception]) -> tuple[int, str]:
+def _status_and_words(error: BaseException, usage_error: type[Exception]) -> tuple[int, str]:
     if isinstance(error, usage_error):
         return REFUSED, str(getattr(error, "format_message", error.__str__)())
     if isinstance(error, OSError):
@@ -106,18 +108,22 @@ def _one_line(text: str) -> str:
 def _quiet(name: str) -> Iterator[None]:
     """Warnings of libraries are for who programs, unless asked for by ``python -W`` or PYTHONWARNINGS.
 
-    So is what Python says of errors in a library's callbacks and destructors, which nobody can catch. One of a package that cannot be
-    used is a line.
+    So is what Python says of errors in a library's callbacks and destructors, which nobody can catch. An `InputWarning` is a
+    line, once.
     """
 
+    told: set[str] = set()
+
     def line(message: Warning | str, *_: Any, **__: Any) -> None:
-        print(f"{name}: warning: {_one_line(str(message))}", file=sys.stderr, flush=True)
+        if str(message) not in told:
+            print(f"{name}: warning: {_one_line(str(message))}", file=sys.stderr, flush=True)
+        told.add(str(message))
 
     said = sys.unraisablehook
     with warnings.catch_warnings():
         if not sys.warnoptions:
             warnings.simplefilter("ignore")
-            warnings.simplefilter("always", BrokenPackageWarning)
+            warnings.simplefilter("always", InputWarning)
             warnings.showwarning = line
             sys.unraisablehook = lambda _: None
         try:

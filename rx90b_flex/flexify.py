@@ -19,6 +19,7 @@ import difflib
 import io
 import math
 import os
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -28,6 +29,7 @@ import numpy as np
 import numpy.typing as npt
 from lxml import etree  # type: ignore[import-untyped, unused-ignore]
 
+from rx90b_flex.files.warned import InputWarning
 from rx90b_flex.written_angles import roll_pitch_yaw
 
 if TYPE_CHECKING:  # at run time where it is needed, for it takes a second: it loads what can draw meshes
@@ -371,6 +373,14 @@ def _check_moving(joint: Any) -> None:
 def moving_joints(urdf: yourdfpy.URDF) -> tuple[str, ...]:
     """Names of the joints with one free coordinate, in the file's order: neither fixed nor mimicking."""
     return tuple(j.name for j in urdf.robot.joints if j.type in _MOVING_TYPES and j.mimic is None)
+
+
+def followers(urdf: yourdfpy.URDF, source: str) -> tuple[tuple[str, str], ...]:
+    """Joints that mimic another, and that one; a warning says of each that it is fixed here."""
+    found = tuple((joint.name, joint.mimic.joint) for joint in urdf.robot.joints if joint.mimic is not None)
+    for joint, leader in found:
+        warnings.warn(f"{source}: {joint} follows {leader} in the URDF; here it is fixed", InputWarning, stacklevel=4)
+    return found
 
 
 def neutral_position(urdf: yourdfpy.URDF, joint_name: str) -> float:

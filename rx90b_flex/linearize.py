@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -209,10 +209,23 @@ class Linearization:
         -------
         complex array, shape (F, joints, joints), or (joints, joints) of one frequency; rad/s^2 per N m
             ``(jw)^2 B^T (K + jw D - w^2 M)^-1 B`` (equations 5.36, 5.47), rows are drives that move.
+
+        Raises
+        ------
+        ValueError
+            A frequency that is not finite, or a pole: a drive that nothing holds at rest has one at 0 Hz.
         """
+        if not np.isfinite(np.asarray(hz, dtype=float)).all():
+            raise ValueError("hz: a frequency is not finite; expected finite ones")
         s = 2j * np.pi * np.asarray(hz, dtype=float)[..., None, None]
         drives = self.input_matrix
-        response = np.linalg.solve(self.K + s * self.D + s**2 * self.M, drives.astype(complex))
+        try:
+            response = np.linalg.solve(self.K + s * self.D + s**2 * self.M, drives.astype(complex))
+        except np.linalg.LinAlgError:
+            raise ValueError(
+                "hz: a pole is among the frequencies, where there is no response (drives that nothing holds at rest have "
+                "theirs at 0 Hz); expected frequencies above 0"
+            ) from None
         return s**2 * (drives.T @ response)
 
     def to_statespace(self) -> control.StateSpace:
@@ -290,6 +303,13 @@ def linearize(
         if effect.traits.part == "links":
             gravity = gravity + effect.derivatives(still)[0][0]
     return Linearization(moving.coordinates.names, joints, input_matrix, **groups, G0=gravity)
+
+
+def check_one(size: int, **arrays: Any) -> None:
+    """Refuse coordinates, rates or accelerations that are not of one sample, shape (size,)."""
+    for name, x in arrays.items():
+        if np.shape(x) not in ((size,), (1, size)):
+            raise ValueError(f"{name} has shape {np.shape(x)}; expected one sample, ({size},)")
 
 
 def joint_angle_transform(coordinates: tuple[str, ...]) -> tuple[Array, tuple[str, ...]]:

@@ -24,7 +24,7 @@ from rx90b_flex.effects.motion import Array
 from rx90b_flex.files.keys import check_keys
 from rx90b_flex.files.toml import named_in, read_toml
 from rx90b_flex.joint_units import SLIDES, TURNS, JointUnits, any_of
-from rx90b_flex.linearize import Linearization, joint_angle_transform, linearize
+from rx90b_flex.linearize import Linearization, check_one, joint_angle_transform, linearize
 
 if TYPE_CHECKING:
     from rx90b_flex.plant import Plant
@@ -259,14 +259,8 @@ class Robot:
 
     def on_links(self, motion: Motion, link_parameters: Array, effects: Sequence[Effect] = ()) -> Motion:
         """The same motion of the same tree with other link parameters and effects, as an identification finds them."""
-        before = motion.on_tree
-
-        def tree(moved: Motion) -> _RobotTreeMotion:
-            same = isinstance(before, _RobotTreeMotion) and all(getattr(moved, x) is getattr(motion, x) for x in "qva")
-            bodies = before.bodies if same else {}  # type: ignore[attr-defined]  # they know nothing of the links
-            return _RobotTreeMotion(self, moved, link_parameters, bodies, carried=known)
-
         known = tuple(e for e in effects if e.traits.in_dynamics and e.known)
+        tree = partial(_on_links, self, motion, link_parameters, known)
         return dataclasses.replace(motion, tree=tree, effects=known)
 
     def link_regressor(self, motion: Motion, columns: int = 0) -> Array:
@@ -342,13 +336,14 @@ class Robot:
         ----------
         q, v, a : array, shape (n,)
             Coordinates, rates and accelerations; at rest where v and a are not given. Friction at rest has its steep
-            slope at reversal, which holds the drives: linearise with a velocity to see them move.
+            slope at reversal, which holds the drives: linearise with a velocity to see them move. A ValueError names a
+            wrong shape, or an effect without a value.
         """
         q = np.asarray(q, dtype=float)
         rest = np.zeros_like(q)
-        moving = self.motion(q, rest if v is None else v, rest if a is None else a)
-        if len(moving) != 1:
-            raise ValueError(f"q, v and a hold {len(moving)} samples; expected one, of shape ({self.model.nv},)")
+        v, a = (rest if x is None else x for x in (v, a))
+        check_one(self.model.nv, q=q, v=v, a=a)
+        moving = self.motion(q, v, a)
         return linearize(self.forces, moving, self.motion(q, rest, rest), self.joints, self.input_matrix)
 
     def energy(self, q: Array, v: Array) -> float:
@@ -362,10 +357,9 @@ class Robot:
         return float(energy + sum(effect.potential(motion)[0] for effect in self.forces))
 
     def mass_matrix(self, q: Array) -> Array:
-        """Mass matrix of links and drives at q, shape (n,): shape (n, n), kg m^2."""
+        """Mass matrix of links and drives at q, shape (n,): shape (n, n), kg m^2. A ValueError names a wrong shape."""
+        check_one(self.model.nv, q=q)
         motion = self.motion(q, *np.zeros((2, self.model.nv)))
-        if len(motion) != 1:
-            raise ValueError(f"q holds {len(motion)} samples; expected one, of shape ({self.model.nv},)")
         mass = pin.crba(self.model, self._data, motion.q[0])
         mass = np.triu(mass) + np.triu(mass, 1).T
         for effect in self.forces:
@@ -608,9 +602,8 @@ class _RobotTreeMotion:
                 angle_noise=noise,
                 low_pass=motion.low_pass,
             )
-            self.hinged[hinges] = dataclasses.replace(
-                moved, tree=lambda m: _RobotTreeMotion(robot, m, links.ravel(), carried=carried)
-            )
+            tree = partial(_RobotTreeMotion, robot, link_parameters=links.ravel(), carried=carried)
+            self.hinged[hinges] = dataclasses.replace(moved, tree=tree)
         return self.hinged[hinges]
 
     def _own_links(self) -> pin.Model:
@@ -620,6 +613,13 @@ class _RobotTreeMotion:
             for (_, joint), body in zip(self.robot.bodies, self.link_parameters.reshape(-1, 10), strict=True):
                 model.inertias[joint] = _inertia(body)
         return model
+
+
+def _on_links(robot: Robot, motion: Motion, links: Array, known: tuple[Effect, ...], moved: Motion) -> _RobotTreeMotion:
+    before = motion.on_tree
+    same = isinstance(before, _RobotTreeMotion) and all(getattr(moved, x) is getattr(motion, x) for x in "qva")
+    bodies = before.bodies if same else {}  # type: ignore[attr-defined]  # they know nothing of the links
+    return _RobotTreeMotion(robot, moved, links, bodies, carried=known)
 
 
 def _inertia(body: Array) -> pin.Inertia:
@@ -654,7 +654,7 @@ def load_robot(source: str | os.PathLike[str] | Robot) -> Robot:
     ----------
     source : str, path or Robot
         A robot is returned as it is. A name in `robots_folder()` (``rx90b``), a robot file (``.toml``), a URDF (no effects), or
-        ``example-robot-data:NAME``.
+        ``example-robot-data:NAME``. Joints that mimic others are fixed, with an `InputWarning`: `Robot.followers`.
 
     Raises
     ------
@@ -699,7 +699,7 @@ def _from_urdf(
     source: str | Path, name: str, tip_frame: str | None = None, inertial_parameters: str = "fitted"
 ) -> Robot:
     read = virtual.read_urdf(source)
-    followers = tuple((joint.name, joint.mimic.joint) for joint in read.robot.joints if joint.mimic is not None)
+    followers = virtual.followers(read, str(source))
     urdf = virtual.to_xml(virtual.normalise(read))
     robot = Robot(name, urdf, "", inertial_parameters, (), followers=followers)
     for frame, inertia in zip(robot.tree.names, robot.tree.inertias, strict=True):

@@ -110,7 +110,9 @@ def simulate(
     Raises
     ------
     ValueError
-        One line that names file and key or column.
+        One line that names file and key or column, or what a motion may be.
+    TypeError
+        A noise that is no `Noise`.
 
     Examples
     --------
@@ -123,10 +125,14 @@ def simulate(
     """
     from rx90b_flex.robot import load_robot
     from rx90b_flex.simulate import Noise, Trajectory
-    from rx90b_flex.simulate.command import RunRequest, prepare, run
+    from rx90b_flex.simulate.command import RunRequest, check_motion, prepare, run
 
+    if not isinstance(noise, Noise | None):
+        raise TypeError(f"noise is {noise!r}; expected a rx90b_flex.simulate.Noise, as Noise(torque=0.1)")
     loaded = load_robot(robot)
     given = motion if isinstance(motion, Trajectory) else None
+    if given is None:
+        check_motion(str(motion))
     named = given.name if given is not None else str(motion)
     file = None if controller is None else Path(controller)
     request = RunRequest(loaded.name, named, file, periods, seed, noise or Noise(), perturbation)
@@ -393,7 +399,9 @@ def view(
     Raises
     ------
     ValueError
-        One line that names the file, robot or option.
+        One line that names the file, robot or option; an option that what is shown has no use for.
+    TypeError
+        A source that is none of these.
 
     Examples
     --------
@@ -403,9 +411,10 @@ def view(
     'Modes of rx90b_3dof'
     """
     from rx90b_flex.robot import Robot
-    from rx90b_flex.view.command import modes_of, read_run, view_of
-    from rx90b_flex.view.meshcat import Run, compare, show
+    from rx90b_flex.view.command import check_options, modes_of, run_of, view_of
+    from rx90b_flex.view.meshcat import compare, show
 
+    check_options(source, beside, recording=recording, pose_deg=pose_deg, flexible=flexible)
     if isinstance(source, Robot):
         return modes_of(source, pose_deg, count, flexible, tip)
     if isinstance(source, str | os.PathLike) and (beside is None or isinstance(beside, str | os.PathLike)):
@@ -420,9 +429,7 @@ def view(
             flexible=flexible,
             tip=tip,
         )
-    runs = [
-        read_run(str(x), recording, tip) if isinstance(x, str | os.PathLike) else Run.of(x)
-        for x in (source, beside)
-        if x is not None
-    ]
-    return show(runs[0], magnify=magnify) if len(runs) == 1 else compare(runs[0], runs[1], magnify=magnify)
+    run = run_of(source, recording, tip)
+    return (
+        show(run, magnify=magnify) if beside is None else compare(run, run_of(beside, recording, tip), magnify=magnify)
+    )

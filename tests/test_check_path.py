@@ -223,6 +223,15 @@ def test_a_path_through_a_singularity_says_where() -> None:
     assert 350.0 < begin < 400.0 < end < 450.0
 
 
+def test_a_path_along_the_axis_of_a_joint_says_where_it_is_singular() -> None:
+    seam = Seam("axis", np.array([[0.0, 0.0, 0.7], [0.05, 0.0, 0.7]]), speed=0.05)
+    with pytest.raises(
+        ValueError, match=r"^axis: at 0.0 mm of the path goes through a singularity: joint_1 would jump by"
+    ):
+        planned(seam, robot("rx90b_4dof"))
+    assert "expected a path beside it, or another start_deg" in wrong_path([[0.4, 0.0, 0.9], [-0.4, 0.0, 0.9]])
+
+
 def test_a_path_that_is_too_fast_names_the_joint_and_the_place() -> None:
     text = wrong_path([[0.35, -0.5, 0.35], [0.35, 0.5, 0.35]], speed=1.6, acceleration=30.0)
     assert "is too fast: joint_1 would turn at" in text and "over its limit of 4" in text

@@ -6,6 +6,7 @@ import csv
 import dataclasses
 import gc
 import json
+import pickle
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -169,6 +170,17 @@ def test_its_parameters_are_found_within_their_standard_deviations(hidden):
         estimate = estimates[name]
         assert abs(estimate.value - true) < DEVIATIONS * estimate.std, estimate
         assert estimate.std < 0.1 * abs(true)  # the interval says something
+
+
+def test_a_result_that_was_pickled_gives_the_same_numbers(hidden):
+    result = hidden[1].result
+    loaded = pickle.loads(pickle.dumps(result))
+    assert loaded.verdict == result.verdict and loaded.cautions == result.cautions
+    assert [e.effect for e in loaded.effects] == [e.effect for e in result.effects]
+    assert loaded.after == result.after
+    again, first = (r.model.residual_on(r.model.regression) for r in (loaded, result))
+    np.testing.assert_array_equal(again, first)
+    np.testing.assert_array_equal(loaded.model.covariance, result.model.covariance)
 
 
 def test_what_is_left_is_the_noise_that_was_put_in(hidden):

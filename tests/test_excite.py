@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import rx90b_flex as rf
 from rx90b_flex import cli
 from rx90b_flex.robot import load_robot
 from rx90b_flex.signals import Recording, load_campaign, save_recording
@@ -210,7 +211,7 @@ def test_without_a_controller_file_references_have_a_speed_and_a_rate(
         (["--by", "force"], "--by is 'force'; expected torque, reference, both"),
         (
             ["--by", "both", "--one-sign"],
-            "--one-sign with --by both: only both signs tell the excitation from the motion",
+            "--by is 'both' with one sign alone: only both signs tell the excitation from the motion",
         ),
         (["--by", "reference", "--speed-peak", "0.1,0.2"], "2 peak speeds for 3 joints; expected one, or one a joint"),
         (["--by", "reference", "--speed-peak", "-1"], "--speed-peak is -1; expected more than 0"),
@@ -283,3 +284,19 @@ def test_simulated_logs_of_two_poses_go_the_whole_road(tmp_path: Path, monkeypat
         assert (np.diagonal(after) < 0.1 * np.diagonal(before)).all()
     page = (results / "report.html").read_text()
     assert "Pose 1: Frequency response" in page and "Pose 2: Frequency response" in page
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"by": "x"}, "by is 'x'; expected torque, reference, both"),
+        ({"periods": 0}, "periods is 0; expected 1 or more"),
+        ({"period_s": 0.0}, "period_s is 0; expected more than 0"),
+        ({"rate_hz": 0.0}, "rate_hz is 0; expected 1 to"),
+        ({"by": "both", "both_signs": False}, "by is 'both' with one sign alone"),
+        ({"joints": ["joint_1", "joint_1"]}, "joints: 'joint_1' is listed 2 times"),
+    ],
+)
+def test_arguments_in_python_are_named_as_they_are_there(options: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}"):
+        rf.excite("rx90b_3dof", **options)  # type: ignore[arg-type]

@@ -15,6 +15,7 @@ from rx90b_flex.diagnose.kinds import sites_of
 from rx90b_flex.effects import effect_from_table
 from rx90b_flex.effects.gravity_spring import GravitySpring
 from rx90b_flex.files.keys import whole_names
+from rx90b_flex.files.warned import InputWarning
 from rx90b_flex.robot import load_robot
 from rx90b_flex.signals import load_campaign
 
@@ -294,3 +295,16 @@ def test_a_joint_that_follows_another_is_said_to_be_fixed(
         assert run(monkeypatch, name, source, *options, "--out", tmp_path / "out.xml") == 0
         said = capsys.readouterr().out.splitlines()
         assert said[:-1] == ["Not held: second: follows elbow where it is from; here it is fixed"]
+
+
+@pytest.mark.parametrize("command", ["simulate --harmonics --periods 1", "excite --realisations 1", "view --flexible"])
+def test_commands_that_load_a_joint_that_follows_say_once_that_it_is_fixed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    robot = urdf(tmp_path, ind.TWO_JOINTS.replace("</robot>", FINGER))
+    name, *options = command.split()
+    run(monkeypatch, name, robot, *options, "--out", tmp_path / "out.html")
+    line = f"rx90b-flex: warning: {robot}: second follows elbow in the URDF; here it is fixed"
+    assert capsys.readouterr().err.splitlines().count(line) == 1
+    with pytest.warns(InputWarning, match="second follows elbow in the URDF; here it is fixed"):
+        assert load_robot(robot).followers == (("second", "elbow"),)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import pickle
 from pathlib import Path
 
 import independent as ind
@@ -61,6 +62,18 @@ def test_friction_is_found_within_its_standard_deviations(result: Identified) ->
             assert estimate.value is not None and estimate.std is not None
             assert abs(estimate.value - true) < 4 * estimate.std
             assert estimate.std < 0.1 * true
+
+
+def test_a_result_that_was_pickled_gives_the_same_numbers(result: Identified) -> None:
+    loaded = pickle.loads(pickle.dumps(result))
+    assert loaded.parameters == result.parameters and loaded.identification == result.identification
+    assert loaded.robot.effects == result.robot.effects
+    for name in ("theta", "covariance", "columns"):
+        np.testing.assert_array_equal(getattr(loaded.model, name), getattr(result.model, name))
+    again, first = (r.model.residual_on(r.model.regression) for r in (loaded, result))
+    np.testing.assert_array_equal(again, first)
+    q, v, a = np.full((3, 2), 0.3)
+    np.testing.assert_array_equal(loaded.robot.inverse_dynamics(q, v, a), result.robot.inverse_dynamics(q, v, a))
 
 
 def test_base_parameters_are_the_true_combinations_within_their_standard_deviations(result: Identified) -> None:

@@ -70,10 +70,16 @@ main()
 """
 
 
-def test_an_interrupt_while_a_library_is_imported_ends_the_command(tmp_path: Path) -> None:
+HALF_LOADED = SWALLOWS.replace(
+    "            pass\n        time.sleep(60)", "            raise NameError('_api') from None"
+)
+
+
+@pytest.mark.parametrize("source", [SWALLOWS, HALF_LOADED])
+def test_an_interrupt_while_a_library_is_imported_ends_the_command(tmp_path: Path, source: str) -> None:
     campaign = write_campaign(tmp_path / "data")
     before = tree(tmp_path)
-    arguments = [sys.executable, "-c", SWALLOWS, "close-loop", str(campaign), "--out", str(tmp_path / "out")]
+    arguments = [sys.executable, "-c", source, "close-loop", str(campaign), "--out", str(tmp_path / "out")]
     with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
         assert run.stdout is not None and run.stderr is not None
         run.stdout.readline()

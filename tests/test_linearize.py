@@ -159,8 +159,22 @@ def test_in_joint_angles_the_coupling_of_drive_and_link_is_in_stiffness_and_damp
 
 
 def test_several_samples_are_refused():
-    with pytest.raises(ValueError, match=r"hold 2 samples; expected one, of shape \(12,\)"):
-        load_robot("rx90b_3dof").linearize(np.zeros((2, 12)))
+    robot = load_robot("rx90b_3dof")
+    for asked in (robot.linearize, robot.mass_matrix):
+        for shape in ((2, 12), (3,)):
+            with pytest.raises(ValueError) as error:
+                asked(np.zeros(shape))
+            assert str(error.value) == f"q has shape {shape}; expected one sample, (12,)"
+
+
+def test_a_response_at_a_pole_is_refused():
+    at_rest = tree("rx90b").linearize(np.zeros(6))
+    with pytest.raises(
+        ValueError, match=r"hz: a pole is among the frequencies.* at 0 Hz.*expected frequencies above 0"
+    ):
+        tree("rx90b").with_effects([]).linearize([0.0] * 6).frf([0.0, 5.0])
+    with pytest.raises(ValueError, match="hz: a frequency is not finite"):
+        at_rest.frf([np.nan])
 
 
 # ---- frequencies --------------------------------------------------------------------------------------------

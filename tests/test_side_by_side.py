@@ -81,5 +81,5 @@ def test_long_logs_get_processes_and_wrong_numbers_one_line(campaign: Path, monk
     monkeypatch.setattr(joblib, "cpu_count", lambda: 2)  # of a machine's many this process has two
     assert worth_while(None, WORTH) == 1
     assert worth_while(3, 1) == 3
-    with pytest.raises(ValueError, match="--jobs is 0; expected 1 to"):
+    with pytest.raises(ValueError, match=r"^jobs is 0; expected 1 to"):
         rf.close_loop(campaign, jobs=0)

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import rx90b_flex as rf
 from rx90b_flex import cli
 from rx90b_flex.signals import load_campaign
 
@@ -116,3 +117,22 @@ def test_the_built_in_motions_run_to_their_ends(
 ) -> None:
     assert run("rx90b_4dof", "--out", tmp_path / "o", motion, monkeypatch=monkeypatch) == 0
     assert "went to its end" in capsys.readouterr().out
+
+
+def test_arguments_in_python_that_cannot_be_are_named() -> None:
+    with pytest.raises(
+        ValueError, match=r"^motion is 'lines'; expected line, excitation, square-wave, harmonics or a table"
+    ):
+        rf.simulate("rx90b_3dof", "lines")
+    with pytest.raises(ValueError, match=r"^seed is -1; expected 0 or more$"):
+        rf.simulate("rx90b_3dof", seed=-1)
+    with pytest.raises(
+        TypeError, match=r"^noise is 0.1; expected a rx90b_flex.simulate.Noise, as Noise\(torque=0.1\)$"
+    ):
+        rf.simulate("rx90b_3dof", noise=0.1)  # type: ignore[arg-type]
+
+
+def test_a_folder_in_the_place_of_the_campaign_is_named(tmp_path: Path) -> None:
+    (tmp_path / "out" / "campaign.toml").mkdir(parents=True)
+    with pytest.raises(ValueError, match=r"out: has campaign.toml, a folder, already"):
+        rf.excite("rx90b_3dof", tmp_path / "out", realisations=1)

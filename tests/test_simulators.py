@@ -485,3 +485,18 @@ def test_a_robot_without_masses_is_said_to_be_one_that_cannot_move(tmp_path):
     )
     done = rf.export_robot(urdf, tmp_path / "light.xml", "mjcf")
     assert "no moving link has a mass" in str(done.lost[0])
+
+
+@pytest.mark.parametrize("format", ["urdf", "mjcf", "sdf"])
+def test_a_joint_with_nothing_that_has_a_mass_behind_it_is_named(format, tmp_path):
+    limit = '<axis xyz="0 1 0"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
+    body = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    urdf = tmp_path / "light.urdf"
+    urdf.write_text(
+        f'<robot name="light"><link name="a"/><link name="b">{body}</link><link name="c"/><link name="d"/>'
+        f'<joint name="j" type="revolute"><parent link="a"/><child link="b"/>{limit}'
+        f'<joint name="k" type="revolute"><parent link="b"/><child link="c"/>{limit}'
+        '<joint name="tool" type="fixed"><parent link="c"/><child link="d"/></joint></robot>'
+    )
+    done = rf.export_robot(urdf, tmp_path / "light.xml", format)
+    assert [str(x) for x in done.lost] == ["k: no link behind it has a mass in its URDF: a simulator cannot move it"]

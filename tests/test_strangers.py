@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 import rx90b_flex
+from rx90b_flex.effects import catalogue
+from rx90b_flex.effects.trials import why_not
 from rx90b_flex.signals import load_campaign
 
 GUIDES = Path(rx90b_flex.__file__).parent / "docs" / "guides"
@@ -149,6 +151,18 @@ GOOD = printed("new_effect", "python")
         ("CubicFriction = 3\n", "3 is no subclass of rx90b_flex.effects.effect.Effect"),
         (GOOD.replace("def law", "def another_law"), "CubicFriction lacks law"),
         (GOOD.replace("class Cubic", "class Coulomb") + "\nCubicFriction = CoulombFriction\n", "'coulomb_friction' already"),
+        ("import sys; sys.exit(3)\n" + GOOD, "SystemExit: 3"),
+        (GOOD.replace("@dataclass(frozen=True, kw_only=True)", "@dataclass"), "cannot inherit non-frozen dataclass"),
+        (GOOD.replace("LawEffect)", "LawEffect, behind_geer=True)"), "unknown key 'behind_geer'"),
+        (GOOD.replace("@dataclass(frozen=True, kw_only=True)\n", ""), "CubicFriction is no dataclass, coefficient no parameter"),
+        (GOOD.replace('linear("N m (s/rad)^3", lower=0.0, rank=FRICTION)', "None"), "CubicFriction declares no parameter"),
+        (GOOD.replace('"N m (s/rad)^3"', "5"), "the unit of coefficient is 5; expected a text"),
+        (GOOD.replace("(x, rate, parameters, out)", "(x, rate)"), "law takes (x, rate); expected (x, rate, parameters, out)"),
+        (GOOD.replace("    @staticmethod\n", ""), "CubicFriction.law is a function; expected a @staticmethod"),
+        (GOOD.replace("out[0] = ", "out[0] = float('nan') * "), "law writes nan to out[0] at x = 0.0, rate = 0.0; expected a number"),
+        (GOOD.replace("= parameters[0] *", "= parameters[0] ** 2 *"), "law: its torque is not linear in coefficient"),
+        (GOOD.replace("3.0 *", "-30.0 *"), "out[2], the slope of its torque by the rate, is -3.015"),
+        (GOOD.replace("out[0] = ", "out[0] = 1.0 if rate > 0 else "), "CubicFriction.law ends with ValueError"),
     ],
 )  # fmt: skip
 def test_a_broken_package_of_effects_is_named_and_left_out(source, why, tmp_path):
@@ -172,11 +186,16 @@ def test_a_broken_package_of_effects_is_named_and_left_out(source, why, tmp_path
 
 
 def test_an_error_in_a_package_of_effects_names_the_package(tmp_path):
-    source = GOOD.replace("out[0] = ", "out[0] = rate.no_such_thing * ")
+    source = GOOD + "\n    def basis(self, at):\n        return at.no_such_thing\n"
     packages = install(tmp_path, "broken_friction", source, POINT)
     (told,) = commands(f"demo --hidden {TYPE} --out found", at=tmp_path, packages=packages)
     last = told.splitlines()[-1]
     assert told.startswith("70\n") and "a fault of package broken_friction 1.0" in last and "Traceback" not in told
+
+
+@pytest.mark.parametrize("kind", sorted(catalogue()))
+def test_no_law_of_the_catalogue_is_refused(kind):
+    assert why_not(catalogue()[kind]) == ""
 
 
 # ---- log formats ----------------------------------------------------------------------------------------------------
@@ -240,6 +259,24 @@ def test_a_broken_package_of_readers_is_named_and_left_out(tmp_path):
     assert "Traceback" not in works + refused
 
 
+@pytest.mark.parametrize(
+    ("was", "now", "why"),
+    [
+        ("return log_of", "log_of", "read returned None; expected a Log"),
+        ("dtype=float)", "dtype=float)[:, :3]", "read returned values of shape (1000, 3) for 5 names; expected (rows, 5)"),
+    ],
+)  # fmt: skip
+def test_a_reader_that_returns_too_little_is_named(was, now, why, tmp_path):
+    jsonl(tmp_path / "run.jsonl")
+    source = printed("new_log_format", "python").replace(was, now)
+    if "None" not in why:
+        source = source.replace("log_of(path, names", "Log(path, tuple(names)")
+    packages = install(tmp_path, "json_logs", source, printed("new_log_format", "toml"))
+    (told,) = commands("import run.jsonl --robot two_joints.urdf --out data", at=tmp_path, packages=packages)
+    line = f"rx90b-flex: run.jsonl: cannot be read: package json_logs 1.0: rx90b_flex.readers 'jsonl': {why}"
+    assert told.startswith("2\n" + line)
+
+
 # ---- estimators -----------------------------------------------------------------------------------------------------
 
 
@@ -284,3 +321,28 @@ def test_a_broken_package_of_estimators_is_named_and_left_out(tmp_path):
     assert refused.startswith("2\n") and f"--estimator is 'biweight'; {why}" in refused.splitlines()[-1]
     assert f"rx90b-flex: warning: {why}" in works and "campaign.toml: " in works.splitlines()[-1]
     assert "Traceback" not in works + refused
+
+
+@pytest.mark.parametrize(
+    ("source", "why"),
+    [
+        ("    def identify(self, regression, effects, *, fit_links):\n        return None\n", "identify returned None; expected"),
+        ("    def influence(self, u):\n        return None\n", "influence returned None; expected ("),
+        ("    def influence_slope(self, u):\n        return u[:-1]\n", "influence_slope returned an array of shape ("),
+    ],
+)  # fmt: skip
+def test_an_estimator_that_returns_too_little_is_named(source, why, tmp_path):
+    arm, rng = ind.two_joints(tmp_path), np.random.default_rng(2)
+    m = ind.harmonics(rng, 2, period_s=10.0, rate_hz=100.0)
+    ind.write_files(
+        tmp_path, arm, [{"type": "viscous_friction", "joint": "elbow"}],
+        [ind.run(arm, "identification", m, [lambda m, load: m.v * (3.0, 1.5)], 0.1 * ind.white(rng, len(m.time), (0.1, 0.05)))],
+        known=True,
+    )  # fmt: skip
+    begin = "from rx90b_flex.identify.estimators.huber import Huber\n\nclass Biweight(Huber):\n"
+    packages = install(tmp_path, "robust_statistics", begin + source, printed("new_estimator", "toml"))
+    (told,) = commands(
+        "identify campaign.toml --estimator biweight --despite-faults --out found", at=tmp_path, packages=packages
+    )
+    line = "rx90b-flex: --estimator is 'biweight'; package robust_statistics 1.0: rx90b_flex.estimators 'biweight': "
+    assert told.startswith("2\n" + line + why)

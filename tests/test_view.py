@@ -12,13 +12,14 @@ import pinocchio as pin
 import pytest
 import umsgpack
 
+import rx90b_flex as rf
 from rx90b_flex import cli
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals import load_campaign
 from rx90b_flex.simulate import Simulation, load_cs8, simulate, straight_line
 from rx90b_flex.simulate.command import write_run
 from rx90b_flex.view import Run, View, compare, scene, show, show_modes
-from rx90b_flex.view.command import read_run, serve_until_interrupted, view_of
+from rx90b_flex.view.command import read_run, run_of, serve_until_interrupted, view_of
 
 POSE = (0.3, 1.2, -0.4)
 
@@ -209,6 +210,39 @@ def test_a_live_cell_frames_the_server(shown: View) -> None:
 def test_a_notebook_cell_holds_the_whole_page(shown: View) -> None:
     cell = shown._repr_html_()
     assert cell.startswith("<iframe srcdoc=") and "<script" not in cell  # escaped into the frame
+
+
+@pytest.mark.parametrize(
+    ("options", "kind", "message"),
+    [
+        ({"beside": 5}, TypeError, r"^beside is 5; expected a run or the path of one$"),
+        ({"tip": "x"}, ValueError, r"^unknown tip frame 'x' for robot rx90b"),
+        ({"recording": "x"}, ValueError, r"^recording is 'x'; a run is one motion, of its own robot: expected none$"),
+        ({"pose_deg": [0, 0, 0]}, ValueError, r"^pose_deg is \[0, 0, 0\]; a run is one motion"),
+        ({"flexible": True}, ValueError, r"^flexible is True; a run is one motion"),
+    ],
+)
+def test_what_a_run_has_no_use_for_is_refused(
+    run: Simulation, options: dict[str, Any], kind: type[Exception], message: str
+) -> None:
+    with pytest.raises(kind, match=message):
+        rf.view(run, **options)
+
+
+def test_the_tip_of_a_run_may_be_another_frame(run: Simulation) -> None:
+    assert (
+        run_of(run, None, "link_2").robot.tip_frame == "link_2" and run_of(run, None, None).robot.tip_frame == "tool0"
+    )
+    assert rf.view(run, tip="link_2").title == rf.view(run).title
+
+
+def test_what_is_nothing_to_show_is_refused(run: Simulation) -> None:
+    for source in (None, 5):
+        with pytest.raises(TypeError, match=f"^source is {source}; expected a robot, a run or the path of one$"):
+            rf.view(source)  # type: ignore[arg-type]
+    for options in ({"recording": "x"}, {"beside": run}):
+        with pytest.raises(ValueError, match="a robot's mode shapes are no run: expected none"):
+            rf.view(run.robot, **options)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("magnify", [-1.0, float("nan")])

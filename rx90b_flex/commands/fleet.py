@@ -10,7 +10,7 @@ import typer
 
 from rx90b_flex.commands.shared import progress, say, show_table
 from rx90b_flex.endings import Stopped
-from rx90b_flex.interrupts import calm
+from rx90b_flex.interrupts import calm, is_interrupt
 
 
 def close_fleet(
@@ -30,7 +30,9 @@ def close_fleet(
             fleet = close_loop_many(
                 campaigns, jobs=1 if jobs is None else jobs, dask=dask, out=out, progress=tell, **options
             )
-        except KeyboardInterrupt:
+        except BaseException as error:
+            if not is_interrupt(error):
+                raise
             calm()
             raise Stopped("interrupted; robots that were done are kept, and the same command goes on") from None
     rows = [

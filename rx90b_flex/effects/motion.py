@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, ClassVar, Protocol, TypeVar, cast
 
 import numpy as np
@@ -223,13 +223,7 @@ class Motion:
     def piece(self, samples: slice) -> Motion:
         """Some of the samples, for which the tree is asked at all of them, once for many pieces."""
         out = self.part(samples)
-
-        def tree(moved: Motion) -> TreeMotion:
-            same = all(getattr(moved, x) is getattr(out, x) for x in "qva")
-            own = self.tree(moved)
-            return _PieceOfTree(self, samples, own) if same else own
-
-        return replace(out, tree=tree)
+        return replace(out, tree=partial(_tree_of_piece, self, samples, out))
 
     def sticking(self, held: Sequence[Held]) -> Motion:
         """The same, with friction held in no other sticks than these joints' at their turns or in their pauses."""
@@ -323,6 +317,12 @@ def with_forces(torque: Array, effects: Iterable[Force], motion: Motion) -> Arra
         for i in np.flatnonzero(port):
             torque[:, i] += port[i] * along
     return torque
+
+
+def _tree_of_piece(whole: Motion, samples: slice, piece: Motion, moved: Motion) -> TreeMotion:
+    own = whole.tree(moved)
+    same = all(getattr(moved, x) is getattr(piece, x) for x in "qva")
+    return _PieceOfTree(whole, samples, own) if same else own
 
 
 @dataclass(frozen=True, eq=False)

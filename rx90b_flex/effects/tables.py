@@ -11,6 +11,7 @@ import numpy as np
 from rx90b_flex.effects.effect import Effect, FrameEffect
 from rx90b_flex.effects.parameters import Parameter
 from rx90b_flex.effects.stand_in import form_stated
+from rx90b_flex.effects.trials import why_not
 from rx90b_flex.files.extensions import EFFECTS, brought, concrete, import_all, own, subclasses, wrong_class
 from rx90b_flex.files.keys import check_keys, close_match
 
@@ -21,11 +22,11 @@ def catalogue() -> dict[str, type[Effect]]:
     Those name a class in the entry point group ``rx90b_flex.effects``.
     """
     import_all("rx90b_flex.effects")
-    brought(EFFECTS, _why_no_type)
+    others = brought(EFFECTS, _why_no_type)
     found: dict[str, type[Effect]] = {}
     for sub in filter(concrete, subclasses(Effect)):
         name = sub.type_name()
-        if own(sub) or name not in found or not own(found[name]):
+        if own(sub) or (not others.left_out(sub) and (name not in found or not own(found[name]))):
             found[name] = sub
     return dict(sorted(found.items()))
 
@@ -35,7 +36,7 @@ def _why_no_type(found: Any) -> str:
     wrong = wrong_class(found, Effect)
     if not wrong and any(own(sub) and sub.__name__ == found.__name__ for sub in subclasses(Effect)):
         return f"there is an effect type {found.type_name()!r} already"
-    return wrong
+    return wrong or why_not(found)
 
 
 def choices(cls: type[Effect]) -> dict[str, tuple[str, ...]]:

@@ -6,6 +6,7 @@ A package that cannot be used is left out with a warning of one line; what needs
 from __future__ import annotations
 
 import importlib
+import inspect
 import pkgutil
 import traceback
 import warnings
@@ -13,20 +14,24 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from types import FunctionType
 from typing import Any
+
+from rx90b_flex.files.warned import InputWarning
 
 EFFECTS, READERS, ESTIMATORS = "rx90b_flex.effects", "rx90b_flex.readers", "rx90b_flex.estimators"
 
 
-class BrokenPackageWarning(UserWarning):
+class BrokenPackageWarning(InputWarning):
     """Another package brings something that cannot be used."""
 
 
 @dataclass(frozen=True)
 class Broken:
-    """An entry point that cannot be used: its name, and a line that names the package and says why."""
+    """An entry point that cannot be used: its name and module, and a line that names the package and says why."""
 
     name: str
+    module: str
     line: str
 
 
@@ -36,6 +41,10 @@ class Brought:
 
     things: tuple[Any, ...]
     broken: tuple[Broken, ...]
+
+    def left_out(self, cls: type) -> bool:
+        """Whether a class comes from a module of which something cannot be used, and is nothing else that it brings."""
+        return cls not in self.things and cls.__module__ in {b.module for b in self.broken}
 
     def why_missing(self, name: str) -> str:
         """Why what an entry point of this name should bring is not there, after a semicolon; empty where there is none."""
@@ -75,7 +84,31 @@ def wrong_class(found: Any, base: type) -> str:
     if not (isinstance(found, type) and issubclass(found, base)):
         return f"{found!r} is no subclass of {base.__module__}.{base.__name__}"
     lacking = sorted(getattr(found, "__abstractmethods__", ()))
-    return f"{found.__name__} lacks {', '.join(lacking)}" if lacking else ""
+    return f"{found.__name__} lacks {', '.join(lacking)}" if lacking else _wrong_signature(found)
+
+
+def _wrong_signature(found: type) -> str:
+    """Which method of another package's class cannot be called as that of this package which it stands for; empty: none."""
+    theirs = [cls for cls in found.__mro__ if not own(cls) and cls.__module__ not in ("abc", "builtins")]
+    for name, made in {
+        n: m for cls in reversed(theirs) for n, m in vars(cls).items() if not n.startswith("__")
+    }.items():
+        stated: Any = next((vars(cls)[name] for cls in found.__mro__ if own(cls) and name in vars(cls)), None)
+        kind = next((k for k in (staticmethod, classmethod, FunctionType) if isinstance(stated, k)), None)
+        if kind is None:
+            continue
+        if not isinstance(made, kind):
+            expected = "a method" if kind is FunctionType else f"a @{kind.__name__}"
+            return f"{found.__name__}.{name} is a {type(made).__name__}; expected {expected}"
+        both: tuple[Any, Any] = (stated, made)
+        ours, its = (inspect.signature(getattr(x, "__func__", x)) for x in both)
+        named = {n: None for n, p in ours.parameters.items() if p.kind is inspect.Parameter.KEYWORD_ONLY}
+        try:
+            its.bind(*[None] * (len(ours.parameters) - len(named)), **named)
+        except TypeError:
+            words = [", ".join(x.parameters) for x in (its, ours)]
+            return f"{found.__name__}.{name} takes ({words[0]}); expected ({words[1]})"
+    return ""
 
 
 @cache
@@ -94,10 +127,10 @@ def brought(group: str, wrong: Callable[[Any], str]) -> Brought:
         try:
             thing = point.load()
             why = wrong(thing)
-        except Exception as error:  # somebody else's code: anything may be wrong with it
+        except (Exception, SystemExit) as error:  # somebody else's code: anything may be wrong with it
             thing, why = None, f"{type(error).__name__}: {' '.join(str(error).split())}"
         if why:
-            broken.append(Broken(point.name, f"package {package_of(point)}: {group} {point.name!r}: {why}"))
+            broken.append(Broken(point.name, point.module, f"{_words(point)}: {why}"))
             warnings.warn(broken[-1].line, BrokenPackageWarning, stacklevel=2)
         else:
             things.append(thing)
@@ -107,6 +140,16 @@ def brought(group: str, wrong: Callable[[Any], str]) -> Brought:
 def package_of(point: EntryPoint) -> str:
     """Name and version of the package that an entry point belongs to."""
     return f"{point.dist.name} {point.dist.version}" if point.dist is not None else point.module
+
+
+def _words(point: EntryPoint) -> str:
+    return f"package {package_of(point)}: {point.group} {point.name!r}"
+
+
+def whose(cls: type) -> str:
+    """Package and entry point that a class comes from; where it comes from none, its name."""
+    every = (p for group in (EFFECTS, READERS, ESTIMATORS) for p in entry_points(group=group))
+    return next((_words(p) for p in every if p.module == cls.__module__), cls.__name__)
 
 
 def blamed(error: BaseException) -> str:

@@ -287,7 +287,7 @@ def _workers(jobs: int, address: str | None) -> Iterator[_Each]:
             client = Client(address, timeout=ANSWERS_S)
         except (OSError, ValueError, TypeError) as error:
             said = " ".join(str(error).split())[:200]
-            raise ValueError(f"--dask {address}: no scheduler answers: {said}") from None
+            raise ValueError(f"dask is {address!r}: no scheduler answers: {said}") from None
         with client:
             yield lambda calls, tell: _by_dask(client, calls, tell)
         return

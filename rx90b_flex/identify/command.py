@@ -19,7 +19,7 @@ from rx90b_flex.effects.motion import Array
 from rx90b_flex.export import save_robot, with_link_parameters
 from rx90b_flex.files.results import write_json
 from rx90b_flex.files.toml import named_in
-from rx90b_flex.identify.estimators.estimator import Estimator, estimator_named
+from rx90b_flex.identify.estimators.estimator import Estimator, estimator_named, identified
 from rx90b_flex.identify.least_squares import Estimate, Identification
 from rx90b_flex.identify.normal_equations import column_scale
 from rx90b_flex.identify.physical import information_root, possible_coefficients, with_coefficients
@@ -229,7 +229,7 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
     ]
     tell("identifying", 0.3)
     fitted = declared.inertial_parameters == "fitted"
-    model = estimator.identify(regression, regression.robot.effects, fit_links=fitted)
+    model = identified(estimator, regression, regression.robot.effects, fit_links=fitted)
     tell("making it possible", 0.6)
     try:
         theta, held = possible_coefficients(model)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 
 import numpy as np
@@ -739,7 +739,7 @@ class _Fit:
             solution.sigma,
             counted,
             spans,
-            lambda: regression.alike,
+            partial(getattr, regression, "alike"),
             longest,
             with_covariance,
             derivatives,

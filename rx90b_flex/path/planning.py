@@ -26,6 +26,7 @@ STEPS = 60  # Newton steps from a first guess
 TURN = 0.3  # rad; longest Newton step of a joint
 # Choice: smallest over largest singular value of the tip's Jacobian; below it a joint turns 50 times as much.
 SINGULAR = 0.02
+AROUND = "expected a path beside it, or another start_deg"  # what to do about a singularity
 JUMP = 0.2  # rad; between two samples: another way to reach the point
 GUESSES = (-0.6, -0.2, 0.2, 0.6)  # of half a joint's range; first guesses of the first three joints
 COARSE = 2e-3  # m along the path, between the samples at which ways to go are compared
@@ -307,7 +308,7 @@ class _Arm:
             if k > 0 and np.abs(position[k] - guess).max() > JUMP:
                 far = int(np.abs(position[k] - guess).argmax())
                 by = self.robot.units[far].place(abs(position[k][far] - guess[far]))
-                why = f"goes through a singularity: {self.robot.joints[far]} would jump by {by}"
+                why = f"goes through a singularity: {self.robot.joints[far]} would jump by {by}; {AROUND}"
                 return Problem("singularity", distance[k - 1], distance[k], why)
             pull.append(np.asarray(np.linalg.pinv(jacobian[:3] * self.carries, rcond=SINGULAR), dtype=float))
         return position, np.stack(pull), measure
@@ -321,7 +322,7 @@ class _Arm:
         places = ", ".join(unit.place(q) for unit, q in zip(self.robot.units, position[worst], strict=True))
         why = (
             f"passes a singularity: one direction of the tip needs {1.0 / max(measure[worst], 1e-6):.0f} times the joint motion of "
-            f"another (limit {1.0 / SINGULAR:.0f}), worst at {1e3 * distance[worst]:.1f} mm with joints at {places}"
+            f"another (limit {1.0 / SINGULAR:.0f}), worst at {1e3 * distance[worst]:.1f} mm with joints at {places}; {AROUND}"
         )
         return Problem("singularity", float(distance[where[0]]), float(distance[where[1]]), why)
 
@@ -329,7 +330,10 @@ class _Arm:
 def _step(jacobian: Array, missing: Array) -> Array:
     """Newton's, damped by what is missing, so that it neither runs away out of reach nor slows down at the end."""
     square = jacobian @ jacobian.T + min(1e-3, float(missing @ missing)) * np.eye(len(missing))
-    return np.asarray(jacobian.T @ np.linalg.solve(square, missing))
+    try:
+        return np.asarray(jacobian.T @ np.linalg.solve(square, missing))
+    except np.linalg.LinAlgError:  # a direction is lost, and hardly anything is missing: as far as the others go
+        return np.asarray(np.linalg.pinv(jacobian) @ missing)
 
 
 def _first(wrong: NDArray[np.bool_]) -> tuple[int, int] | None:

@@ -53,10 +53,9 @@ class Output:
         """Names in a folder that are of this output."""
         patterns = (self.mark, *self.names)
         found = {name for name in os.listdir(folder) if any(fnmatch.fnmatchcase(name, p) for p in patterns)}
-        if self.recordings and "campaign.toml" in found and not (folder / "campaign.toml").is_symlink():
-            listed = re.findall(
-                r'^file = "([^"/\\]+)"$', (folder / "campaign.toml").read_text(errors="replace"), re.MULTILINE
-            )
+        campaign = folder / "campaign.toml"
+        if self.recordings and campaign.is_file() and not campaign.is_symlink():
+            listed = re.findall(r'^file = "([^"/\\]+)"$', campaign.read_text(errors="replace"), re.MULTILINE)
             found |= {name for name in listed if os.path.lexists(folder / name)}
         return found
 

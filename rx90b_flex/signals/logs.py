@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rx90b_flex.signals.readers.reader import Log, Reader, from_others, readers
+from rx90b_flex.files.extensions import whose
+from rx90b_flex.signals.readers.reader import Log, Reader, from_others, readers, why_no_log
 from rx90b_flex.signals.tables import one_line
 
 TIME = "time"
@@ -60,7 +61,11 @@ def read_log(path: Path, topic: str | None = None) -> Log:
     """
     _, reader = _reader_of(path)
     try:
-        return reader().read(path) if topic is None else reader().read_topic(path, topic)
+        log = reader().read(path) if topic is None else reader().read_topic(path, topic)
+        why = why_no_log(log)
+        if why:
+            raise ValueError(f"{path}: cannot be read: {whose(reader)}: read returned {why}")
+        return log
     except Exception as error:  # a damaged file takes readers to places that their authors never thought of
         if isinstance(error, ValueError) and str(error).startswith(str(path)):
             raise

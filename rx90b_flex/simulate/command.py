@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,6 +35,7 @@ from rx90b_flex.simulate.trajectories import (
 )
 
 OF_THE_RX90B = ("line", "excitation", "square-wave")
+MOTIONS = (*OF_THE_RX90B, "harmonics")
 COARSE_S = 0.5  # between samples of a trajectory: no controller is as slow, but one of 1 kHz in ms is
 STATE_FILE = "state.parquet"  # time and every coordinate, exact: what a view of the deformations needs
 
@@ -61,6 +63,18 @@ class Prepared:
     trajectory: Trajectory
 
 
+def check_motion(name: str) -> None:
+    """Refuse the name of a motion that there is not; whatever has an ending, or is there, is a file.
+
+    Raises
+    ------
+    ValueError
+        One line that names all motions.
+    """
+    if name not in MOTIONS and not Path(name).suffix and not os.path.exists(name):
+        raise ValueError(f"motion is {name!r}; expected {', '.join(MOTIONS)} or a table of a trajectory (.csv)")
+
+
 def prepare(request: RunRequest, robot: Robot | None = None, trajectory: Trajectory | None = None) -> Prepared:
     """Read and check everything that a request names; robot and trajectory only where they are not given.
 
@@ -73,8 +87,9 @@ def prepare(request: RunRequest, robot: Robot | None = None, trajectory: Traject
         value = getattr(request.noise, name)
         if np.min(value) < 0.0 or not np.isfinite(value).all():
             raise ValueError(f"{name} noise is {value}; expected 0 or more")
-    if request.periods < 1:
-        raise ValueError(f"periods is {request.periods}; expected 1 or more")
+    for what, number, least in (("periods", request.periods, 1), ("seed", request.seed, 0)):
+        if number < least:
+            raise ValueError(f"{what} is {number}; expected {least} or more")
     if request.periods * PERIOD_S > LONGEST_S:
         raise ValueError(f"periods is {request.periods}; expected {int(LONGEST_S / PERIOD_S)} at most, a day of motion")
     robot = load_robot(request.robot) if robot is None else robot

@@ -155,31 +155,34 @@ def _check_numbers(request: ExciteRequest) -> None:
     """Refuse numbers that cannot be meant, before arrays of their size are made."""
     for joint in request.joints:
         if request.joints.count(joint) > 1:
-            raise ValueError(f"--joints: {joint!r} is listed {request.joints.count(joint)} times")
+            raise ValueError(f"joints: {joint!r} is listed {request.joints.count(joint)} times")
     if not 0.0 < request.period_s <= LONGEST_PERIOD_S:
-        raise ValueError(f"--period-s is {request.period_s:g}; expected more than 0, up to {LONGEST_PERIOD_S:g}")
+        raise ValueError(f"period_s is {request.period_s:g}; expected more than 0, up to {LONGEST_PERIOD_S:g}")
     if not request.speed > 0.0:
-        raise ValueError(f"--speed is {request.speed:g}; expected more than 0")
-    for name, value in (("--realisations", request.realisations), ("--periods", request.periods)):
+        raise ValueError(f"speed is {request.speed:g}; expected more than 0")
+    for name, value in (("realisations", request.realisations), ("periods", request.periods)):
         if value < 1:
             raise ValueError(f"{name} is {value}; expected 1 or more")
     days = request.realisations * request.periods * request.period_s / 86400.0
     if days > MOST_DAYS:
         raise ValueError(
-            f"--realisations, --periods and --period-s make {days:.3g} days of motion; expected {MOST_DAYS} at most"
+            f"period_s is {request.period_s:g}: {request.realisations} realisations of {request.periods} periods make "
+            f"{days:.3g} days of motion; expected {MOST_DAYS} at most"
         )
-    lists = (("--peak", request.peak), ("--speed-peak", request.speed_peak))
-    for name, numbers in (*lists, *(("--pose", pose) for pose in request.poses)):
+    lists = (("peak", request.peak), ("speed_peak", request.speed_peak))
+    for name, numbers in (*lists, *(("pose", pose) for pose in request.poses)):
         if not np.isfinite(numbers).all():
-            raise ValueError(f"{name} has a number that is not finite; expected finite ones")
+            raise ValueError(f"{name}: a number is not finite; expected finite ones")
     if min(request.speed_peak, default=1.0) <= 0.0:
-        raise ValueError(f"--speed-peak is {min(request.speed_peak):g}; expected more than 0")
+        raise ValueError(f"speed_peak is {min(request.speed_peak):g}; expected more than 0")
     if request.rate_hz is not None and not 1.0 <= request.rate_hz <= FASTEST_HZ:
-        raise ValueError(f"--rate-hz is {request.rate_hz:g}; expected 1 to {FASTEST_HZ:g}")
+        raise ValueError(f"rate_hz is {request.rate_hz:g}; expected 1 to {FASTEST_HZ:g}")
     if request.by not in get_args(By):
-        raise ValueError(f"--by is {request.by!r}; expected {', '.join(get_args(By))}")
+        raise ValueError(f"by is {request.by!r}; expected {', '.join(get_args(By))}")
     if request.by != "torque" and not request.both_signs:
-        raise ValueError(f"--one-sign with --by {request.by}: only both signs tell the excitation from the motion")
+        raise ValueError(
+            f"by is {request.by!r} with one sign alone: only both signs tell the excitation from the motion"
+        )
 
 
 def white_amplitudes(plan: CampaignPlan) -> tuple[tuple[float, ...], ...]:
@@ -198,7 +201,7 @@ def _controller(robot: Robot, request: ExciteRequest) -> CS8:
         known = load_cs8(request.controller).for_joints(robot.joints)
         if request.rate_hz not in (None, known.reference_rate_hz):
             raise ValueError(
-                f"--rate-hz is {request.rate_hz:g}; {request.controller} has reference_rate_hz = {known.reference_rate_hz:g}"
+                f"rate_hz is {request.rate_hz:g}; {request.controller} has reference_rate_hz = {known.reference_rate_hz:g}"
             )
         return known
     controller = own_controller(robot) or design_cs8(robot)

@@ -45,10 +45,16 @@ def lost_followers(robot: Robot) -> tuple[Lost, ...]:
 
 
 def lost_masses(robot: Robot) -> tuple[Lost, ...]:
-    """That no moving link has a mass: a file of such links can be looked at, not moved."""
-    if robot.link_parameters[:: len(LINK_PARAMETERS)].any():
-        return ()
-    return (Lost(robot.name, "no moving link has a mass in its URDF: a simulator cannot move it"),)
+    """Where no moving link, or none from a joint on, has a mass: a file of such links can be looked at, not moved."""
+    if not robot.link_parameters[:: len(LINK_PARAMETERS)].any():
+        return (Lost(robot.name, "no moving link has a mass in its URDF: a simulator cannot move it"),)
+    tree, moved = robot.tree, {j for e in robot.effects if e.traits.adds_inertia for j in e.joints}
+    behind = [inertia.mass for inertia in tree.inertias]
+    for i in range(tree.njoints - 1, 0, -1):
+        behind[tree.parents[i]] += behind[i]
+    light = [str(name) for name, mass in zip(tree.names, behind, strict=True) if mass == 0.0 and name in robot.joints]
+    why = "no link behind it has a mass in its URDF: a simulator cannot move it"
+    return tuple(Lost(joint, why) for joint in light if joint not in moved)
 
 
 def lost_dynamics(robot: Robot) -> tuple[Lost, ...]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import threading
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +16,7 @@ from rx90b_flex.interrupts import calm
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.recording import Campaign, Recording, load_campaign
 from rx90b_flex.signals.tables import read_table
+from rx90b_flex.simulate.closed_loop import Simulation
 from rx90b_flex.simulate.command import STATE_FILE
 from rx90b_flex.tip import tip_words, with_tip
 from rx90b_flex.view.meshcat import MAGNIFY, Run, View, compare, show, show_modes
@@ -48,7 +51,7 @@ def view_of(
         One line that names the file, robot or option.
     """
     if not (np.isfinite(magnify) and magnify >= 0.0):
-        raise ValueError(f"--magnify is {magnify}; expected 0 or more")
+        raise ValueError(f"magnify is {magnify}; expected 0 or more")
     campaign = campaign_path(source)
     if modes or (campaign is None and beside is None and recording is None):
         if beside is not None:
@@ -56,9 +59,7 @@ def view_of(
         robot = load_robot(source if campaign is None else load_campaign(campaign).robot_source)
         return modes_of(robot, pose, count, flexible, tip)
     if flexible:
-        raise ValueError(
-            "--flexible is of a robot's mode shapes; recordings (--recording, --beside) have their own robot"
-        )
+        raise ValueError("flexible is of a robot's mode shapes; recordings have their own robot")
     if pose is not None:
         raise ValueError("--pose is of mode shapes; add --modes, or leave it out")
     run = read_run(source, recording, tip)
@@ -132,6 +133,40 @@ def read_run(source: str, recording: str | None = None, tip: str | None = None) 
     if len(q) != len(run.q):
         raise ValueError(f"{state}: {len(q)} rows; expected {len(run.q)}, as in recording {chosen.name!r}")
     return Run(run.name, robot, run.time, q, run.reference)
+
+
+def check_options(source: Any, beside: Any, **options: Any) -> None:
+    """Refuse what `rx90b_flex.view` cannot show, and options of something else than it is to show.
+
+    Raises
+    ------
+    TypeError, ValueError
+        One line that names the argument.
+    """
+    paths = [isinstance(x, str | os.PathLike) for x in (source, beside)]
+    for name, x, kinds in (("source", source, "a robot, a run"), ("beside", beside, "a run")):
+        known = isinstance(x, Run | Simulation | str | os.PathLike) or (name == "source" and isinstance(x, Robot))
+        if not known and (name == "source" or x is not None):
+            raise TypeError(f"{name} is {x!r}; expected {kinds} or the path of one")
+    if isinstance(source, Robot):
+        unused, why = {"beside": beside, "recording": options["recording"]}, "a robot's mode shapes are no run"
+    elif paths[0] and (beside is None or paths[1]):
+        return  # what a path names is known when it is read
+    else:
+        unused, why = dict(options), "a run is one motion, of its own robot"
+        if any(paths):
+            del unused["recording"]
+    for name, value in unused.items():
+        if value is not None and value is not False:
+            raise ValueError(f"{name} is {value!r}; {why}: expected none")
+
+
+def run_of(source: Simulation | Run | str | os.PathLike[str], recording: str | None, tip: str | None) -> Run:
+    """The motion of a run, or of a path as `read_run` takes it; `tip` as there."""
+    if isinstance(source, str | os.PathLike):
+        return read_run(str(source), recording, tip)
+    run = Run.of(source)
+    return run if tip is None else dataclasses.replace(run, robot=with_tip(run.robot, tip))
 
 
 def serve_until_interrupted(view: View, tell: Callable[[str], None], wait: Callable[[], object] | None = None) -> None:

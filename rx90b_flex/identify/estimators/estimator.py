@@ -7,8 +7,20 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from rx90b_flex.effects import Effect, close_match
-from rx90b_flex.files.extensions import ESTIMATORS, Brought, brought, concrete, import_all, own, subclasses, wrong_class
+from rx90b_flex.files.extensions import (
+    ESTIMATORS,
+    Brought,
+    brought,
+    concrete,
+    import_all,
+    own,
+    subclasses,
+    whose,
+    wrong_class,
+)
 from rx90b_flex.identify.least_squares import Identification
 from rx90b_flex.identify.regression import Regression
 
@@ -38,6 +50,33 @@ class Estimator(ABC):
         fit_links : bool
             Whether the links' inertial parameters are identified, too.
         """
+
+
+def identified(
+    estimator: Estimator, regression: Regression, effects: Sequence[Effect], *, fit_links: bool
+) -> Identification:
+    """What an estimator identifies.
+
+    Raises
+    ------
+    ValueError
+        One line that names whose it is, where it returned no identification, or one without numbers.
+    """
+    model = estimator.identify(regression, effects, fit_links=fit_links)
+    why = ""
+    if not isinstance(model, Identification):
+        why = f"{'None' if model is None else type(model).__name__}; expected an Identification"
+    elif len(model.effects) != len(effects) or np.shape(model.residual) != np.shape(regression.torque):
+        shapes = [
+            f"{n} effects and a residual of shape {np.shape(r)}"
+            for n, r in ((len(model.effects), model.residual), (len(effects), regression.torque))
+        ]
+        why = "; expected ".join(shapes)
+    elif not np.isfinite(model.theta).all():
+        why = "parameters that are no numbers"
+    if why:
+        raise ValueError(f"estimator is {estimator.name()!r}; {whose(type(estimator))}: identify returned {why}")
+    return model
 
 
 def estimators() -> dict[str, type[Estimator]]:

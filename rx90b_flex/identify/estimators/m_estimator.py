@@ -10,6 +10,7 @@ import numpy as np
 
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
+from rx90b_flex.files.extensions import whose
 from rx90b_flex.identify.estimators.estimator import Estimator
 from rx90b_flex.identify.least_squares import Identification, identify
 from rx90b_flex.identify.regression import Regression
@@ -62,8 +63,18 @@ class MEstimator(Estimator):
     def _modified(self, left: Array, regression: Regression) -> Array:
         """In place of the errors `left` (N, joints), N m."""
         scale = _scale(left, regression)
-        slope = np.maximum(self.influence_slope(left / scale).mean(axis=0), LEAST_SLOPE)
-        return scale * self.influence(left / scale) / slope
+        slope = np.maximum(self._of_errors("influence_slope", left / scale).mean(axis=0), LEAST_SLOPE)
+        return scale * self._of_errors("influence", left / scale) / slope
+
+    def _of_errors(self, what: str, u: Array) -> Array:
+        """What a method says of errors over their scale, in the shape of these."""
+        said = getattr(self, what)(u)
+        if said is None or np.shape(said) != u.shape:
+            shape = "None" if said is None else f"an array of shape {np.shape(said)}"
+            raise ValueError(
+                f"estimator is {self.name()!r}; {whose(type(self))}: {what} returned {shape}; expected {u.shape}"
+            )
+        return np.asarray(said)
 
 
 def _scale(left: Array, regression: Regression) -> Array:

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
+
 from rx90b_flex.files.extensions import READERS, Brought, brought, import_all, own, subclasses, wrong_class
 from rx90b_flex.pieces import Array
 
@@ -86,6 +88,18 @@ def log_of(path: Path, names: Sequence[str], values: Array, notes: Sequence[str]
     return Log(path, tuple(names[k] for k in once), values[:, once], tuple(notes), twice=twice)
 
 
+def why_no_log(found: Any) -> str:
+    """What a reader returned, and what is expected instead; empty: a log."""
+    if not isinstance(found, Log):
+        return f"{'None' if found is None else type(found).__name__}; expected a Log, as log_of makes it"
+    shape, count = np.shape(found.values), len(found.names)
+    if len(shape) != 2 or shape[1] != count:
+        return f"values of shape {shape} for {count} names; expected (rows, {count})"
+    if found.time is not None and np.shape(found.time) != shape[:1]:
+        return f"a time of shape {np.shape(found.time)} for {shape[0]} rows; expected ({shape[0]},)"
+    return ""
+
+
 def readers() -> dict[str, type[Reader]]:
     """All readers by the endings that they read."""
     import_all("rx90b_flex.signals.readers")
@@ -103,5 +117,7 @@ def _why_no_reader(found: Any) -> str:
     wrong = wrong_class(found, Reader)
     if wrong or not hasattr(found, "endings"):
         return wrong or f"{found.__name__} lacks endings"
+    if isinstance(found.endings, str) or not all(isinstance(e, str) and e[:1] == "." for e in found.endings):
+        return f'endings of {found.__name__} is {found.endings!r}; expected texts with their dot, as in (".jsonl",)'
     taken = {ending for cls in filter(own, subclasses(Reader)) for ending in cls.endings}
     return next((f"files {ending} have a reader already" for ending in found.endings if ending in taken), "")
