@@ -31,9 +31,8 @@ def interruptible() -> Iterator[None]:
         calm()
         for number, handler in zip((signal.SIGINT, signal.SIGALRM), before, strict=True):
             signal.signal(number, handler)
-        eval(
-            "0"
-        )  # or Python ends by the signal where it came in code made of a text (its `unhandled_keyboard_interrupt`)
+        # or Python ends by the signal where it came in code made of a text (its `unhandled_keyboard_interrupt`)
+        eval("0")
 
 
 def calm() -> None:

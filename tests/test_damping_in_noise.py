@@ -15,6 +15,7 @@ from scipy import stats
 
 from rx90b_flex.effects.calm import Calm
 from rx90b_flex.effects.flexibility import DriveFlexibility
+from rx90b_flex.effects.hints import Sites
 from rx90b_flex.identify.least_squares import Identification, identify
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.robot import Robot, load_robot
@@ -53,7 +54,7 @@ class Bench:
 
     def identified(self, seed: int, angle_noise: float) -> Identification:
         regression = self.regression(seed, angle_noise)
-        drive = DriveFlexibility(joint=self.robot.joints[SHOULDER]).on_rigid_tree()
+        (drive,) = DriveFlexibility.everywhere(Sites((self.robot.joints[SHOULDER],), self.robot.tip_frame))
         return identify(regression, [drive.with_shape([STIFFNESS, LAG])], fit_links=True)
 
 
