@@ -12,7 +12,7 @@ from rx90b_flex.diagnose.faults.rigid_fit import FLOOR, RIDGE
 from rx90b_flex.effects.motion import Array, Mask
 
 SMALLEST_S = 0.05  # below it a delay of filters and buses, which the loop finds as an effect
-SMALLEST_IN_ONE_S = 0.01  # of one recording beside others, which filters and buses have in common
+SMALLEST_IN_ONE_S = 0.01  # of all joints in one recording beside others, which filters and buses have in common
 LARGEST_S = 3.0
 # squared error of most of the joints that are brought to another time, above which it is not theirs either: at some time torques
 # go with any motion a little better
@@ -36,7 +36,8 @@ def shifted(look: Look) -> Iterator[Hypothesis]:
 
 def _smallest(move: Mask) -> float:
     """Shift, s, below which torques (recordings, joints) are not said to have come at another time."""
-    return SMALLEST_S if move.any(axis=1).all() else SMALLEST_IN_ONE_S
+    whole = move.all(axis=1)
+    return SMALLEST_IN_ONE_S if whole.any() and not whole.all() else SMALLEST_S
 
 
 def _moves(look: Look) -> Iterator[Mask]:
