@@ -11,7 +11,7 @@ import pytest
 
 import rx90b_flex as rf
 from rx90b_flex.diagnose.beyond_fitted import beyond_fitted
-from rx90b_flex.diagnose.carried import rise
+from rx90b_flex.diagnose.carried import grossly_risen, rise
 from rx90b_flex.diagnose.output import closed_loop_json
 from rx90b_flex.diagnose.residual import Errors
 
@@ -130,3 +130,14 @@ def test_a_wrist_that_is_explained_is_no_matter_of_a_shoulders_noise(shoulder, w
     torque, noise = 50.0 * rng.normal(size=(2000, 2)), rng.normal(size=(2000, 2)) * [1.0, 0.05]
     before, after = (Errors.of([torque], [torque - noise * grown]) for grown in ([1.0, 1.0], [shoulder, wrist]))
     assert after.worse_than(before) == worse
+
+
+@pytest.mark.parametrize(("at_s", "gross"), [(0.5, False), (3.0, True)])
+def test_a_gross_rise_counts_in_however_few_parts_but_for_the_first_second(at_s: float, gross: bool) -> None:
+    rng, time = np.random.default_rng(5), np.arange(1000) / RATE_HZ
+    velocity, torque = np.sin(time + 0.5)[:, None], 10.0 * np.cos(time)[:, None]
+    less = torque + 0.1 * rng.normal(size=torque.shape)
+    more = less + 2.0 * np.exp(-(((time - at_s) / 0.1) ** 2))[:, None]
+    data = [torque], [velocity], [RATE_HZ], [less]
+    assert rise(*data, [more]) is None
+    assert grossly_risen(*data, [more]) is gross

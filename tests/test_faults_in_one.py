@@ -140,6 +140,14 @@ def test_a_torque_that_is_late_in_one_log_is_named_with_it(tmp_path: Path) -> No
     assert "log_1" in fault.message
 
 
+def test_torques_of_one_log_a_little_late_are_named_with_it(tmp_path: Path) -> None:
+    late = in_one(sound(), 1, lambda r: with_torques(r, lambda torque: np.roll(torque, 3, axis=0)))
+    (fault,) = checked(tmp_path, late).data_faults
+    assert (fault.kind, set(fault.joints)) == ("time_shift", set(JOINTS))
+    assert fault.factor == pytest.approx(0.03, abs=0.005)
+    assert "log_2" in fault.message
+
+
 def test_every_torque_of_one_log_in_another_unit_is_one_fault(tmp_path: Path) -> None:
     (fault,) = checked(tmp_path, in_one(sound(), 1, lambda r: with_torques(r, lambda t: 1000.0 * t))).data_faults
     assert (fault.kind, set(fault.joints), fault.factor) == (

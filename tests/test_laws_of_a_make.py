@@ -190,6 +190,11 @@ def swell(m: Motion, load: Array) -> Array:
     return 0.5 * np.exp(-(((m.q[:, 1] - 0.15) / 0.25) ** 2))
 
 
+def ramp(m: Motion, load: Array) -> Array:
+    """Drier and drier along the travel, which shows no period."""
+    return 0.35 * (m.q[:, 1] - m.q[:, 1].min())
+
+
 def bend(m: Motion, most: Array) -> Array:
     """Bristles that give way at a torque which changes on the way, (N, n)."""
     out, part = np.zeros_like(m.q), np.zeros(m.q.shape[1])
@@ -209,6 +214,7 @@ def bend(m: Motion, most: Array) -> Array:
         (root_of_load, "load_friction", 0.5),
         (triangle_along_angle, "position_friction", 0.5),
         (swell, "position_friction", 0.7),
+        (ramp, "position_friction", 0.5),
     ],
 )
 def test_a_law_near_one_of_the_catalogue_gets_its_name_and_no_other(tmp_path, grown, name, left, turns, seed):

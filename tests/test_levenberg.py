@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from rx90b_flex.levenberg import Iterate, descent, lowest
+from rx90b_flex.levenberg import Iterate, damped_step, descent, lowest
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,3 +54,9 @@ def test_it_does_not_step_to_where_the_goal_is_no_number():
     end = lowest(Valley(np.array([-1.2, 1.0]), edge=0.5), 400)
     assert end.at[0] < 0.5
     assert end.goal < 1.0
+
+
+def test_what_only_rounding_tells_stays_where_it_is():
+    jacobian = np.array([[1.0, 3e-17], [2.0, -1e-17], [0.5, 2e-17]])
+    step = damped_step(jacobian.T @ jacobian, jacobian.T @ np.array([1.0, 0.3, -2.0]), 1e-10)
+    assert step[1] == 0.0 and step[0] == pytest.approx(0.6 / 5.25)

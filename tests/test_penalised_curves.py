@@ -20,7 +20,7 @@ import rx90b_flex as rf
 from rx90b_flex.diagnose.kinds import last_resorts
 from rx90b_flex.diagnose.search import Search
 from rx90b_flex.diagnose.trial import TorqueTrial
-from rx90b_flex.effects import Effect, Sites
+from rx90b_flex.effects import Effect, Sites, catalogue
 from rx90b_flex.effects.curves import KNOTS, FrictionCurve
 from rx90b_flex.identify.least_squares import Identification, identify
 from rx90b_flex.identify.regression import Regression
@@ -244,3 +244,22 @@ def test_long_rests_leave_a_curve_its_knots():
     curve = FrictionCurve(joint=ELBOW).placed([Moving()])
     assert 0.5 * KNOTS <= curve.count <= KNOTS
     assert curve.knots[0] == pytest.approx(-1.0, abs=0.01) and curve.knots[-1] == pytest.approx(1.0, abs=0.01)
+
+
+def test_beside_friction_that_differs_by_direction_a_curve_has_no_v(tmp_path: Path) -> None:
+    """The two would cancel: any V is left to the effect that has a name."""
+    arm, rng = ind.two_joints(tmp_path), np.random.default_rng(8)
+    motion = ind.harmonics(rng, 2, period_s=SECONDS, rate_hz=RATE_HZ)
+    path = ind.write_files(tmp_path, arm, DECLARED, [ind.run(arm, "identification", motion, [], 0.0 * motion.q)])
+    regression = Regression.of(rf.load_robot(tmp_path / "robot_declared.toml"), load_campaign(path).recordings, None)
+    motions = tuple(s.motion for s in regression.segments)
+    curve = FrictionCurve(joint=ELBOW).placed(motions)
+    beside = [curve, *(catalogue()[name](joint=ELBOW) for name in ("viscous_friction", "asymmetric_friction"))]
+    held = curve.held_beside(beside, motions)
+    knots = np.array(curve.knots)
+    free = np.eye(len(knots)) - held @ np.linalg.pinv(held)
+    counts = np.sqrt(curve.straight_at(knots))[:, None]
+    straight_parts = np.stack([np.ones(len(knots)), knots, np.abs(knots)], axis=1)
+    for c in free @ rng.normal(size=(len(knots), 5)).T[:, :, None]:
+        _, line, v = np.linalg.lstsq(counts * straight_parts, counts * c, rcond=None)[0].ravel()
+        assert max(abs(line), abs(v)) < 1e-9 < np.abs(c).max()

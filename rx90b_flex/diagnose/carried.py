@@ -7,11 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
+from rx90b_flex.diagnose.events import FIRST_S
 from rx90b_flex.diagnose.moving import resting_each, waiting
 from rx90b_flex.effects.motion import Array, Mask
 
 BLOCK_S = 1.0  # parts of a recording whose losses are compared with their spread
 FEWEST, MOST = 4, 20  # of them, in a recording
+GROSS = 1.1  # times the error of all recordings, a rise that counts even where few of their parts have it
 CHANCE = 0.05  # that errors which only chance raises count as raised, all recordings and both kinds of rows together
 
 
@@ -51,6 +53,25 @@ def rise(
     worst = int(np.argmin(chances))
     p_value = min(1.0, 2.0 * len(chances) * chances[worst])
     return (worst, p_value) if p_value < CHANCE else None
+
+
+def grossly_risen(
+    torque: Sequence[Array],
+    velocity: Sequence[Array],
+    rates: Sequence[float],
+    without: Sequence[Array],
+    added: Sequence[Array],
+) -> bool:
+    """Whether an addition raises the error of all recordings so much that no spread excuses it; for the parameters see `rise`.
+
+    What remembers the motion errs as a recording begins, whatever it is: its first second does not count.
+    """
+    less = more = 0.0
+    for tau, v, rate, before, after in zip(torque, velocity, rates, without, added, strict=True):
+        known = ~waiting(v, rate) & (np.arange(len(tau)) >= FIRST_S * rate)[:, None]
+        less += float((((tau - before) ** 2) * known).sum())
+        more += float((((tau - after) ** 2) * known).sum())
+    return more > GROSS**2 * less
 
 
 def _chance(lost: Array, rows: Mask, parts: int) -> float:

@@ -203,7 +203,7 @@ def _judged(
         for effects in (declared, identified)
     )
     effect = None
-    if shown and known is None and told is None:
+    if shown and told is None and (known is None or _without_values(known)):
         stiffness, damping = (float(p.value or 0.0) for p in parameters)
         effect = DriveFlexibility(joint=data.joint, stiffness=stiffness, damping=damping)
     agree = gears.agreement([(c.value, c.std) for c in each]) if len(each) > 1 else np.nan
@@ -302,13 +302,17 @@ def _comparisons(fit: gears.GearFit, tests: int) -> tuple[GearComparison, ...]:
     return tuple(sorted(out, key=lambda x: -x.gain_share))
 
 
+def _without_values(effect: Effect) -> bool:
+    return bool(np.isnan(effect.coefficients).all())
+
+
 def _beside(declared: Effect | None, identified: Effect | None) -> str:
     """What the robot file and the torques by themselves say of a flexibility that a second encoder shows."""
-    if declared is not None and declared.known:
+    if declared is not None and not _without_values(declared):
         return " The robot file declares this flexibility."
     if identified is not None:
         return f" The torques by themselves say {identified.coefficients[0]:.3g} N m/rad, which the robot takes."
-    return " The robot file declares this flexibility without a stiffness: it takes this one." if declared else ""
+    return " The robot file declares this flexibility without a stiffness." if declared else ""
 
 
 def _words(fit: gears.GearFit, shown: bool, beside: str, comparisons: Sequence[GearComparison]) -> str:
@@ -336,14 +340,16 @@ def with_gears(robot: Robot, found: Sequence[GearDeflection]) -> Robot:
     """A robot with the flexibilities that second encoders showed; values that its own lack are filled in."""
     effects = list(robot.effects)
     for gear in found:
+        own = [i for i, e in enumerate(effects) if "torsion" in e.traits.virtual and e.joints == (gear.joint,)]
         if gear.effect is not None:
-            effects.append(gear.effect)
-            continue
-        for i, effect in enumerate(effects):
-            if gear.parameters and "torsion" in effect.traits.virtual and effect.joints == (gear.joint,):
-                measured = np.array([p.value for p in gear.parameters], dtype=float)
-                own = effect.coefficients
-                effects[i] = effect.with_coefficients(np.where(np.isnan(own), measured, own))
+            at = own[0] if own else len(effects)
+            effects[at : at + 1] = [gear.effect]
+        elif gear.parameters:
+            measured = np.array([p.value for p in gear.parameters], dtype=float)
+            for i in own:
+                declared = effects[i].coefficients
+                if not _without_values(effects[i]):
+                    effects[i] = effects[i].with_coefficients(np.where(np.isnan(declared), measured, declared))
     return robot.with_effects(effects)
 
 

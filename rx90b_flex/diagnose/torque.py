@@ -12,7 +12,7 @@ import numpy as np
 from scipy import optimize
 
 from rx90b_flex.diagnose.alternatives import Alternative, Comparison, alternatives, compared, swapped
-from rx90b_flex.diagnose.carried import rise
+from rx90b_flex.diagnose.carried import grossly_risen, rise
 from rx90b_flex.diagnose.families import sure_together
 from rx90b_flex.diagnose.identified import with_possible_values
 from rx90b_flex.diagnose.kinds import beside_motion, last_resorts, laws, repeated
@@ -42,7 +42,6 @@ MUCH = 0.1  # of the squared error of the joints it touches: an effect that expl
 PAIRS = 3  # such effects that are tried with company
 CERTAIN = 2.0  # standard deviations that a value is from zero
 # Of what an effect explains, over the part of the rows in which its joints move: below that it explains what they hold at rest
-GROSS = 1.1  # times the held-out error, a rise that no spread of it excuses
 IN_MOTION = 0.2
 CHANGED = 0.5  # of its values beside a curve: what changes by more is not what it was taken for
 ALIKE = 0.1  # of its torque by which an effect differs from what it stands in for: beside a curve less says nothing
@@ -80,11 +79,18 @@ class TorqueData:
 
     def rise(self, without: TorqueModel, added: TorqueModel) -> tuple[str, float] | None:
         """The recording with role validation whose error an addition raises beyond its spread, and how likely chance does that."""
-        torque, velocity, rates = zip(
-            *((r.torque, r.velocity, r.recording.sample_rate_hz) for r in self.validation), strict=True
-        )
-        found = rise(torque, velocity, rates, without.validation, added.validation)
+        found = rise(*self._measured, without.validation, added.validation)
         return found and (self.validation[found[0]].recording.name, found[1])
+
+    def grossly_risen(self, without: TorqueModel, added: TorqueModel) -> bool:
+        """Whether an addition raises the held-out error so much that no spread excuses it."""
+        return grossly_risen(*self._measured, without.validation, added.validation)
+
+    @property
+    def _measured(self) -> tuple[list[Array], list[Array], list[float]]:
+        """Torques, velocities and rates of the recordings with role validation."""
+        runs = self.validation
+        return [r.torque for r in runs], [r.velocity for r in runs], [r.recording.sample_rate_hz for r in runs]
 
     def noise_floor(self, model: Identification, campaign: Campaign) -> Array | None:
         """Of the torque, from what a model leaves: what does not repeat with the motion, but with a clock, is no noise."""
@@ -526,7 +532,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
                 continue
             model, back = self.without(standing, step)
             found = self._spoiled(standing.model, step.trial.effect, model)
-            if found is None and grossly_worse(standing.model, model):
+            if found is None and self.data.grossly_risen(model, standing.model):
                 gross = True
             elif found is None:
                 self._harmless.append(step.trial)
@@ -757,12 +763,6 @@ def _unknown(model: Identification, effect: Effect) -> str:
     return next(
         (n for n, e in values.items() if e.value is not None and e.std is not None and abs(e.value) < e.std), ""
     )
-
-
-def grossly_worse(model: TorqueModel, other: TorqueModel) -> bool:
-    """Whether so much more is held out than in another model that it counts even where few parts of the recordings have it."""
-    own, less = (m.told.validation.relative_error for m in (model, other))
-    return own > GROSS * less
 
 
 def find(model: TorqueModel, like: Effect) -> Effect:

@@ -141,8 +141,8 @@ def stiff_for_want_of_values(effects: Iterable[Effect]) -> list[str]:
     """What is said of effects that bend, are declared without a value, and so stand for nothing where motors alone are measured."""
     labels = ", ".join(e.label for e in effects if e.traits.virtual and e.on_rigid_tree() is None)
     said = (
-        "declared without a stiffness and taken as stiff: torques of motors seldom tell one; frf does from responses, close-loop "
-        "from link_position, static from deflections under loads."
+        "declared without a stiffness and taken as stiff where nothing here tells one: torques of motors seldom do; frf tells it "
+        "from responses, close-loop from link_position, static from deflections under loads."
     )
     return [f"{labels}: {said}"] if labels else []
 
