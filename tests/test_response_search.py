@@ -190,7 +190,7 @@ def test_where_nothing_is_hidden_nothing_is_added():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cause", OUTSIDE)
+@pytest.mark.parametrize("cause", ["differential", pytest.param("heavier forearm", marks=pytest.mark.long)])
 def test_a_cause_outside_the_catalogue_is_not_called_explained(cause):
     for seed in range(2):
         rng = np.random.default_rng(300 + seed)
