@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 LEAST, MOST = 1e-10, 1e7  # damping
-ROUNDING = (
-    1e-12  # length of a parameter's column over the longest one's below which there is nothing but rounding in it
-)
+# Length of a parameter's column over the longest one's below which there is nothing but rounding in it.
+ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)

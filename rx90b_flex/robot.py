@@ -459,8 +459,10 @@ class Robot:
 
     def over_time(self) -> Robot:
         """The robot as measured motors show it over time: a rigid tree, with what stands there for coordinates that it lacks."""
-        standing = (e.on_rigid_tree() for e in self.effects)
-        return self.with_effects([e for e in standing if e is not None])
+        standing = [e for e in (x.on_rigid_tree() for x in self.effects) if e is not None]
+        there = {(e.type_name(), e.place) for e in standing}
+        supported = (e for e in standing if not e.traits.needs or there & {(n, e.place) for n in e.traits.needs})
+        return self.with_effects(supported)
 
     def restricted(self, joints: Sequence[str]) -> Robot:
         """The robot with all joints but these held at their neutral position; effects on held joints go with them."""

@@ -195,16 +195,17 @@ def test_drives_that_bend_without_a_stiffness_stay_so_and_it_is_said(result: Ide
     path = campaign(tmp_path)
     file = tmp_path / "robot_declared.toml"
     for joint in ("shoulder", "elbow"):
-        file.write_text(file.read_text() + f'\n[[effects]]\ntype = "drive_flexibility"\njoint = "{joint}"\n')
+        for kind in ("drive_flexibility", *(["stiffness_hardening"] if joint == "elbow" else [])):
+            file.write_text(file.read_text() + f'\n[[effects]]\ntype = "{kind}"\njoint = "{joint}"\n')
     bending = identify_campaign(path)
     assert [(e.value, e.std) for e in bending.parameters] == [(e.value, e.std) for e in result.parameters]
-    assert any(
-        n.startswith("shoulder.drive_flexibility, elbow.drive_flexibility: declared without") for n in bending.cautions
-    )
+    stiff = "shoulder.drive_flexibility, elbow.drive_flexibility, elbow.stiffness_hardening"
+    assert any(n.startswith(f"{stiff}: declared without") for n in bending.cautions)
+    assert rf.check(path).usable
     (tmp_path / "out").mkdir()
     write_identified(bending, tmp_path / "out")
     exported = rf.load_robot(tmp_path / "out" / "robot.toml")
-    assert sum(e.type_name() == "drive_flexibility" for e in exported.effects) == 2
+    assert [e.label for e in exported.effects if e.label in stiff] == stiff.split(", ")
 
 
 def test_the_command_writes_a_report_that_opens_offline_and_json_without_nan(

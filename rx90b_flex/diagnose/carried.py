@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from rx90b_flex.diagnose.events import FIRST_S
-from rx90b_flex.diagnose.moving import resting_each, waiting
+from rx90b_flex.diagnose.moving import FIRST_S, resting_each, waiting
 from rx90b_flex.effects.motion import Array, Mask
 
 BLOCK_S = 1.0  # parts of a recording whose losses are compared with their spread

@@ -461,7 +461,8 @@ def _closed(
         (
             *(c.message for c in constants if c.source != "stated"),
             *scaled,
-            *stiff_for_want_of_values(declared.effects),
+            # of hinges without a value `_cautions` tells more
+            *stiff_for_want_of_values(e for e in declared.effects if "bend_1" not in e.traits.virtual),
             *loop.stopped(ended.standing),
             *filter(None, [checked.torque_side.message]),
         ),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rx90b_flex.diagnose.moving import begun, resting_each
+from rx90b_flex.diagnose.moving import FIRST_S, begun, resting_each
 from rx90b_flex.effects.motion import Array
 
 PART_S = 0.25  # length of the parts of time that are compared; the last one, where a low-pass has no neighbours, is not
@@ -16,7 +16,6 @@ REST_S = 0.05  # where a joint rests for longer, its friction depends on what wa
 SHORT = 0.05  # of the time in which a joint moves: what lasts longer is no event
 LARGE = 0.5  # of a joint's squared error: so much in so short a time is one
 TIMES = 5.0  # root mean square there over that elsewhere, at the least
-FIRST_S = 1.0  # of a recording, in which what remembers the motion still acts as what was before has it
 FEW = 3  # what happens oftener belongs to the motion
 
 

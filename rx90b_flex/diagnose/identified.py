@@ -14,8 +14,9 @@ def identified_robot(source: Robot, model: Identification, joints: Sequence[str]
     """A declared robot with the values and effects of a model identified on some of its joints; see `closed_loop_robot`."""
     values = with_possible_values(model)
     effects = values.in_tree
-    told = {e.label for e in effects}  # of these, declared without a value
-    flexible = [e for e in source.effects if e.on_rigid_tree() is None and e.label not in told]
+    # what bends and has no value, if none was found
+    known = {e.label for e in (*source.over_time().effects, *effects)}
+    flexible = [e for e in source.effects if e.label not in known]
     if not model.links_fitted:
         held = [e for e in source.effects if e not in flexible and not set(e.joints) <= set(joints)]
         return source.with_effects([*flexible, *held, *effects])

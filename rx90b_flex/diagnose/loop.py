@@ -227,6 +227,7 @@ class ClosingLoop(Generic[ModelT, TrialT]):
 
     def _chained(self, standing: Standing[ModelT, TrialT]) -> Standing[ModelT, TrialT]:
         """With errors that go on from step to step, from the declared model's to what is left, whatever was taken out between."""
+        # what was added together begins at the same errors
         together = [list(steps) for _, steps in groupby(standing.steps, key=lambda s: id(s.before))]
         ends = [steps[-1].after for steps in together[:-1]] + [self.residual.errors_of(standing.model)]
         begins = [self.residual.errors_of(self.declared), *ends]

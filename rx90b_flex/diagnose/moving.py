@@ -14,6 +14,7 @@ AT_REST = 0.01  # of a joint's largest speed, below which it rests
 AT_REST_RAD_S = 1e-3  # and below which any joint does; m/s for prismatic ones
 RINGS = 1e-5  # of it, below which a velocity is none but a filter's
 MOSTLY = 0.5  # of the squared error
+FIRST_S = 1.0  # of a recording, in which what remembers the motion still acts as what was before has it
 BEGINNING_S = 0.5  # from a joint's first move on: what friction does there depends on what was before the recording
 
 

@@ -138,8 +138,13 @@ class DriveFlexibility(
 
 
 def stiff_for_want_of_values(effects: Iterable[Effect]) -> list[str]:
-    """What is said of effects that bend, are declared without a value, and so stand for nothing where motors alone are measured."""
-    labels = ", ".join(e.label for e in effects if e.traits.virtual and e.on_rigid_tree() is None)
+    """What is said of effects that bend, are declared without a value, and so stand for nothing where motors alone are measured, with
+    those that need them.
+    """
+    every = list(effects)
+    stiff = [e for e in every if e.traits.virtual and e.on_rigid_tree() is None]
+    on_them = [e for e in every if any(s.place == e.place and s.type_name() in e.traits.needs for s in stiff)]
+    labels = ", ".join(e.label for e in (*stiff, *on_them))
     said = (
         "declared without a stiffness and taken as stiff where nothing here tells one: torques of motors seldom do; frf tells it "
         "from responses, close-loop from link_position, static from deflections under loads."

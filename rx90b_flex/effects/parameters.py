@@ -83,10 +83,16 @@ def shape(
     lower: float,
     upper: float,
     size: int = 1,
-    **said: Any,
+    usual: bool = False,
+    shared: bool = False,
+    telling: bool = False,
+    least_will_do: bool = False,
 ) -> Any:
-    """Field of an effect: a parameter that gives the force its shape; what is `said` of it: see `Parameter`."""
-    parameter = Parameter(unit, "shape", lower, upper, start, size, **said)
+    """Field of an effect: a parameter that gives the force its shape."""
+    parameter = Parameter(
+        unit, "shape", lower, upper, start, size,
+        usual=usual, shared=shared, telling=telling, least_will_do=least_will_do,
+    )  # fmt: skip
     return dataclasses.field(default=None, metadata={"parameter": parameter})
 
 

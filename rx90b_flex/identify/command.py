@@ -268,12 +268,13 @@ def _identified(source: Path | Campaign, robot: Robot | None, estimator: Estimat
 
 def _robot(declared: Robot, model: Identification) -> Robot:
     """The declared robot with identified values; effects that add coordinates, or sit on held joints, as declared."""
-    flexible = [e for e in declared.effects if e.traits.virtual]
+    standing = {e.label for e in declared.over_time().effects}
+    flexible = [e for e in declared.effects if e.traits.virtual or e.label not in standing]
     stand_ins = {e.label for e in flexible}  # of the flexible ones, on the rigid tree
     effects = [e for e in model.effects if e.label not in stand_ins]
     if not model.links_fitted:
         joints = set(model.regression.joints)
-        resting = [e for e in declared.effects if not e.traits.virtual and not set(e.joints) <= joints]
+        resting = [e for e in declared.effects if e not in flexible and not set(e.joints) <= joints]
         return declared.with_effects([*flexible, *resting, *effects])
     rigid = model.regression.robot
     kept = [e for e in flexible if set(e.joints) <= set(rigid.joints)]

@@ -11,6 +11,7 @@ from scipy import linalg
 
 from rx90b_flex.effects.motion import Array, Indices, Mask
 from rx90b_flex.identify.columns import ColumnsByJoint
+from rx90b_flex.levenberg import ROUNDING
 
 # A direction in parameter space whose scaled singular value is smaller than this part of the largest one is
 # called undetermined: rounding leaves exact dependencies near 1e-8, and real data resolve nothing below 1e-5.
@@ -18,7 +19,6 @@ RANK_TOLERANCE = 1.0e-6
 SURELY = 10.0  # times that, below which a pivot's root leaves it open whether a direction is determined
 RIDGE = 1.0e-11  # of a column's square, where only the squares count that a solution leaves,
 CORRECTIONS = 3  # and solutions with it, each for what the last ones left
-ROUNDING = 1.0e-12  # length of a column over the longest one's below which there is nothing but rounding in it
 
 
 @dataclass(frozen=True, eq=False)

@@ -414,6 +414,7 @@ def other_effects(robot: Robot) -> tuple[Effect, ...]:
         for e in robot.effects
         if e.type_name() not in BASICS
         and not e.traits.virtual
+        and not e.traits.needs
         and not e.traits.needs_model
         and not e.traits.by_clock
         and e.traits.in_dynamics
