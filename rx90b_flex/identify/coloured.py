@@ -14,7 +14,7 @@ from rx90b_flex.effects.motion import Array
 LARGEST_ORDER = 24  # of the autoregression that takes out most of a residual's colour
 INTERVAL = 0.95  # whose limits 1.96 standard deviations are
 TOGETHER = 2  # columns that are transformed at once: of a long log all would take room
-SPECTRA_BYTES = 5e7  # of transformed columns at a time; the others are transformed once more
+SPECTRA_BYTES = 2e7  # of transformed columns at a time; the others are transformed once more
 # Of a spectrum with what the fit absorbed put back: what is missing after each is missed by the next as well.
 ROUNDS = 3
 

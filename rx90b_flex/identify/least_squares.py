@@ -720,9 +720,9 @@ class _Fit:
 
     def finished(self, regression: Regression, with_covariance: bool) -> Identification:
         solution, spans = self.solution, regression.spans
-        residual = self.target - self.columns().times(solution.theta).T
         derivatives = self.columns(self._by_shape.merged().shifted(len(solution.theta)))
         size = len(solution.theta) + len(self.shape)
+        residual = self.target - derivatives.times(np.concatenate([solution.theta, np.zeros(len(self.shape))])).T
         # what follows from a shape has neither a part in the noise nor a covariance of its own
         free = np.flatnonzero(~np.concatenate([self.follows, self.shapes.held]))
         estimated = derivatives if len(free) == size else derivatives.kept(free, size)

@@ -26,7 +26,7 @@ LOOKED_AT = 15_000  # working samples that a first look needs at the most,
 LOOKED_AT_PART = 1 / 32  # or this part of a longer log
 GLIMPSE = 4_000  # of them with which a search begins on a log that is not long
 MOST_KEPT = 200  # effects whose columns are kept from one identification to the next,
-FEWEST_KEPT, KEPT_BYTES = 16, 4e7  # of a long log fewer: so many, or what takes so much
+FEWEST_KEPT, KEPT_BYTES = 12, 4e7  # of a long log fewer: so many, or what takes so much
 
 
 @dataclass(frozen=True, eq=False)
