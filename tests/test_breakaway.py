@@ -55,7 +55,7 @@ def closed(
 
 
 THREE, TWO = ("identification", "identification", "validation"), ("identification", "validation")
-SEEDS = [11, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (12, 13))]
+SEEDS = [11, pytest.param(12, marks=pytest.mark.slow), pytest.param(13, marks=pytest.mark.long)]
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -118,6 +118,7 @@ def test_a_run_that_ends_early_is_no_part_of_the_campaign(tmp_path: Path) -> Non
     assert "at t = " in result.failed[0].reason
 
 
+@pytest.mark.slow
 def test_both_methods_share_plan_and_noise(tmp_path: Path) -> None:
     plan = small_plan(realisations=1)
     run_campaign(plan, tmp_path / "nonlinear")

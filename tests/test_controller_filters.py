@@ -107,7 +107,7 @@ def by_hand(trajectory: Trajectory, loops: str) -> tuple[np.ndarray, np.ndarray]
     return np.array(angles), np.array(torques)
 
 
-@pytest.mark.parametrize("loops", [CASCADE, PID], ids=["cascade", "pid"])
+@pytest.mark.parametrize("loops", [pytest.param(CASCADE, marks=pytest.mark.slow), PID], ids=["cascade", "pid"])
 @pytest.mark.parametrize("method", [simulate_lanes, perturb_lanes], ids=["full", "perturbation"])
 def test_a_filtered_loop_does_what_scipy_s_filters_do(wheel: Robot, tmp_path: Path, loops: str, method) -> None:  # type: ignore[no-untyped-def]
     controller = controller_of(tmp_path, loops)

@@ -373,7 +373,8 @@ def fleet_command(campaigns: list[Path], out: Path, jobs: int = 1) -> list[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("jobs", [pytest.param(1, marks=pytest.mark.long), 2])
+@pytest.mark.long
+@pytest.mark.parametrize("jobs", [1, 2])
 def test_a_fleet_that_is_killed_at_random_instants_goes_on_and_ends_as_one_that_was_not(
     campaigns: list[Path], done: tuple[rf.Fleet, Path], tmp_path: Path, jobs: int
 ) -> None:

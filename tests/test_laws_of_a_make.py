@@ -161,7 +161,7 @@ def by_angle(m: Motion, load: Array) -> Array:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 @pytest.mark.parametrize(
     ("law", "joint", "name"),
     [(by_load, 1, "load_friction"), (by_flow_of_power, 1, "drive_efficiency"), (by_angle, 2, "position_friction")],
@@ -206,7 +206,7 @@ def bend(m: Motion, most: Array) -> Array:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [51, 52])
+@pytest.mark.parametrize("seed", [51, pytest.param(52, marks=pytest.mark.long)])
 @pytest.mark.parametrize("turns", [bend, lambda m, most: most * np.tanh(m.v / 4e-3)], ids=["bristles", "tanh"])
 @pytest.mark.parametrize(
     ("grown", "name", "left"),

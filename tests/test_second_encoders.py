@@ -112,6 +112,7 @@ def test_a_flexibility_that_is_declared_is_measured_but_not_added(soft: Path, tm
     assert gear.effect is None and gear.parameters and "declares this flexibility" in gear.message
 
 
+@pytest.mark.slow
 def test_a_declared_flexibility_without_a_stiffness_gets_one(soft: Path, tmp_path: Path) -> None:
     lanes = simulate(Drive(), np.random.default_rng(1), len(ROLES))
     declared = DECLARED + '[[effects]]\ntype = "drive_flexibility"\njoint = "swing"\n'

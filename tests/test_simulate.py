@@ -584,6 +584,7 @@ def test_masses_and_tilts_are_simulated_as_part_of_the_tree(name: str) -> None:
     assert largest(a - robot().forward_dynamics(q, v, torque)) > 1e-3
 
 
+@pytest.mark.slow
 def test_both_ways_through_an_effect_agree() -> None:
     @dataclasses.dataclass(frozen=True, kw_only=True)
     class _Uncompiled(catalogue()["viscous_friction"]):  # type: ignore[misc]
