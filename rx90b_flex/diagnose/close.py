@@ -28,6 +28,7 @@ from rx90b_flex.diagnose.loop import ClosingLoop, Progress, Standing
 from rx90b_flex.diagnose.low_pass import beyond_model
 from rx90b_flex.diagnose.motor_turns import turns_of_motor, turns_words
 from rx90b_flex.diagnose.moving import MovingErrors, held_at_first
+from rx90b_flex.diagnose.other_friction import OtherFriction, other_friction
 from rx90b_flex.diagnose.refused import OfCampaign, RefusedLoop, verdict_despite
 from rx90b_flex.diagnose.replayed import ROLES, replayed
 from rx90b_flex.diagnose.residual import Errors, RoleErrors, replayed_errors, unlike_words
@@ -536,9 +537,18 @@ class _Ended:
                 *self._said(predictions),
                 *_event_words(happened, campaign.joints, known, after.validation),
                 *(s.words for s in seldom),
+                *(s.words for s in self._frictions(left)),
                 *(s.words for s in drifts if floor is None or remains.left),
             ),
         )
+
+    def _frictions(self, left: tuple[tuple[Regression, Array], ...]) -> Iterator[OtherFriction]:
+        """Recordings whose friction is not the model's, for the residuals of both roles."""
+        roles = self.residual.campaign.identification, self.residual.campaign.validation
+        for recordings, (regression, residual) in zip(roles, left, strict=True):
+            yield from other_friction(
+                self.standing.model.identified, [r.name for r in recordings], regression, residual
+            )
 
     @property
     def _curved(self) -> list[str]:
