@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
+from scipy.special import chdtri
 
 from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array
@@ -345,9 +346,19 @@ class JointFit:
     degrees_of_freedom: int
     row_chi2: Array
 
+    @property
+    def loudness(self) -> float:
+        """Chi-squared a degree of freedom where that is more than chance makes of the stated noise, otherwise 1."""
+        freedom = max(self.degrees_of_freedom, 1)
+        ratio = self.chi2 / freedom
+        return ratio if ratio > max(LOUD, float(chdtri(freedom, BY_CHANCE)) / freedom) else 1.0
+
 
 FRAME_PRIOR = 1e-3  # rad; about what a base calibration reaches with a rigid model of a robot that sags
+LOUD = 1.5  # chi-squared a degree of freedom above which the noise is not what was stated
+BY_CHANCE = 1e-3  # how often stated noise may be said to be loud
 STEPS = 20  # in which Gauss and Newton's settle
+SAME_SQUARES = 1e-4  # change of the weighted squares of a fit that has settled
 _COARSE = 2  # steps of the fit that leave its faint directions alone
 _FRAME = 6  # numbers of the frame in the fit: three before the joint, three behind
 
@@ -452,16 +463,20 @@ def _settled_joint(
     """The model's nine numbers by Gauss-Newton, and a root R of their covariance, R R^T."""
     x = np.zeros(size.shape[1])
     prior = np.hstack([np.eye(_FRAME) * 1e-3 / frame_prior, np.zeros((_FRAME, len(x) - _FRAME))])
+    squares = np.inf
     for iteration in range(STEPS):
         residual, slope = _misfit(size @ x, rotation, angle, moment)
         r = np.concatenate([whiten(residual[..., None]).ravel(), -prior @ x])
+        squares, before = float(r @ r), squares
         columns = np.concatenate([whiten(slope @ size), prior])
         u, s, vt = np.linalg.svd(columns, full_matrices=False)
         # at first only what shows clearly: along the faint direction a far start would throw the fit off
         clear = s > (1e-2 if iteration < _COARSE else 0.0) * s[0]
         step = vt.T[:, clear] @ ((u.T @ r)[clear] / s[clear])
         x = x + step
-        if iteration >= _COARSE and np.abs(step).max() < 1e-5 * (1.0 + np.abs(x).max()):
+        # of a direction that the poses hardly tell a hundredth of a standard deviation is no reason to go on
+        idle = 0.0 <= before - squares < SAME_SQUARES or np.abs(step).max() < 1e-5 * (1.0 + np.abs(x).max())
+        if iteration > _COARSE and idle:
             return size @ x, size @ vt.T / s
     raise ValueError(f"the fit of joint and frame did not settle in {STEPS} steps")
 

@@ -22,6 +22,7 @@ SIDES = ("before", "behind")
 FAR, NEAR = 20.0, 1e-3  # m; no markers of one row lie so far apart, or so near,
 TOO_LARGE, TOO_SMALL = 30.0, 3e-3  # if that is also out of proportion to the robot
 SAME_TURN = 0.05  # rad; links turn as the model's to within their deformation and the noise
+WORSE = 3.0  # times what the best explanation leaves: another one is none
 SAME_SCALE = 0.2  # links go as far as the model's to within this share
 ONE_AXIS = 0.1  # rad; turns about a second axis below which the first leaves the camera's frame open
 ROWS = 100  # that are looked at
@@ -118,14 +119,15 @@ def check_turns(robot: Robot, joint: str, angles: Array, markers: Array, bodies:
     found = _left(robot, joint, seen)
     if found is None or (found.turn < SAME_TURN and not (found.near(-1.0) and found.scale_std < SAME_SCALE)):
         return
-    fitting = []
+    fitting = {}
     for said, tried in _mistakes(robot, joint, seen):
         after = _left(robot, joint, tried)
         if after is not None and after.turn < SAME_TURN and (np.isinf(after.scale_std) or after.near(1.0)):
-            fitting.append(said)
+            fitting[said] = after.turn
     if fitting:
+        best = [said for said, turn in fitting.items() if turn < WORSE * min(fitting.values())]
         raise ValueError(
-            f"the links beside {joint} do not move as the angles say; what explains it: " + ", or ".join(fitting)
+            f"the links beside {joint} do not move as the angles say; what explains it: " + ", or ".join(best)
         )
 
 
@@ -143,8 +145,9 @@ def _mistakes(robot: Robot, joint: str, seen: Seen) -> list[tuple[str, Seen]]:
     chain = [tree.names[i] for i in tree.supports[tree.getJointId(joint)]]
     for i, name in enumerate(robot.joints):
         if name in chain and angles[:, i].any():
-            other = np.where(np.arange(len(robot.joints)) == i, -angles, angles)
-            out.append((f"column q_{name} has the other sign", replace(seen, angles=other)))
+            for said, factor in (("has the other sign", -1.0), ("is in degrees (rad is expected)", np.deg2rad(1.0))):
+                other = np.where(np.arange(len(robot.joints)) == i, factor * angles, angles)
+                out.append((f"column q_{name} {said}", replace(seen, angles=other)))
     return out
 
 

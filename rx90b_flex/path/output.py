@@ -18,6 +18,10 @@ from rx90b_flex.simulate.closed_loop import tip_poses
 from rx90b_flex.simulate.command import write_run
 
 RUNS = ("as_planned", "corrected")  # folders
+SENT = """\
+# The references in this log are those of the path as planned, which deviations are from.
+# What the controller was sent is ../corrected_joints.csv.
+"""
 
 
 def write_example(name: str, file: Path) -> None:
@@ -139,6 +143,9 @@ def write_runs(result: PathCheck, folder: Path) -> None:
         recording = dataclasses.replace(run.recording, **planned)
         (folder / name).mkdir()
         write_run(dataclasses.replace(run, recording=recording), folder / name)
+        if name == RUNS[1]:
+            campaign = folder / name / "campaign.toml"
+            campaign.write_text(SENT + campaign.read_text(encoding="utf-8"), encoding="utf-8")
 
 
 def reference_tip(result: PathCheck) -> Array:

@@ -6,15 +6,11 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from scipy.special import chdtri
 
 from rx90b_flex.identify.camera_command import KINDS, CameraResult
 from rx90b_flex.identify.measured_stiffness import HingeStiffness
 from rx90b_flex.view.axes import AFTER, MEASURED, new_figure
 from rx90b_flex.view.page import PageTable, Section, image, write_page
-
-LOUD = 1.5  # chi-squared a degree of freedom above which the noise is not what was stated
-BY_CHANCE = 1e-3  # how often stated noise may be said to be loud
 
 
 def headline(result: CameraResult) -> list[str]:
@@ -26,12 +22,10 @@ def headline(result: CameraResult) -> list[str]:
         if not h.determined
     ]
     lines += [f"{line}." for line in result.cautions]
-    freedom = max(result.fit.degrees_of_freedom, 1)
-    ratio = result.fit.chi2 / freedom
-    if ratio > max(LOUD, chdtri(freedom, BY_CHANCE) / freedom):
+    if result.fit.loudness > 1.0:
         lines.append(
-            f"What is left is {ratio:.2g} times the stated noise: the standard deviations are too small by {np.sqrt(ratio):.2g}, and "
-            "markers that slip, vibration or wrong links may be in it."
+            f"What is left is {result.fit.loudness:.2g} times what the stated noise makes: the standard deviations are widened by "
+            f"{np.sqrt(result.fit.loudness):.2g} for that, and markers that slip, vibration or wrong links may be in it."
         )
     return lines
 
