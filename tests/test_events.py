@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from independent import Array, Motion, friction, harmonics, run, two_joints, white, write_files
@@ -74,6 +76,21 @@ def test_an_error_that_lies_before_the_first_move_is_told_and_what_it_is_elsewhe
 @pytest.mark.parametrize("seed", [61, 62, 63])
 def test_a_touch_in_the_held_out_recording_is_no_explained_motion(tmp_path, seed, period_s):
     """A two-joint robot that something holds back once, for a third of a second, while it validates."""
+    result = touched(tmp_path, seed, period_s, "validation")
+    assert result.effects == ()
+    assert result.verdict == "unexplained"
+    assert [c for c in result.cautions if "elbow keeps in motion, held out, " in c and "something happened" in c]
+    assert not [c for c in result.cautions if "shoulder keeps" in c]
+
+
+@pytest.mark.parametrize("seed", [64, pytest.param(65, marks=pytest.mark.slow)])
+def test_a_touch_in_fitted_recordings_is_told(tmp_path, seed):
+    result = touched(tmp_path, seed, None, "identification")
+    assert result.effects == ()
+    assert [c for c in result.cautions if "elbow keeps in motion, in the recordings that were fitted, " in c]
+
+
+def touched(tmp_path: Path, seed: int, period_s: float | None, where: str) -> rf.ClosedLoop:
     arm, runs = two_joints(tmp_path), []
     declared = [{"type": t, "joint": j} for j in arm.joints for t in ("coulomb_friction", "viscous_friction")]
     rng = np.random.default_rng(seed)
@@ -86,11 +103,7 @@ def test_a_touch_in_the_held_out_recording_is_no_explained_motion(tmp_path, seed
 
     for role in ("identification", "identification", "validation"):
         m = harmonics(rng, 2, period_s=10.0, periods=2)
-        more = [touch] if role == "validation" else []
+        more = [touch] if role == where else []
         laws = [friction((1.0, 0.6), (2.0, 1.1)), *more]
         runs.append(run(arm, role, m, laws, white(rng, len(m.time), (0.05, 0.05)), period_s))
-    result = rf.close_loop(write_files(tmp_path, arm, declared, runs, cutoff_hz=15.0))
-    assert result.effects == ()
-    assert result.verdict == "unexplained"
-    assert [c for c in result.cautions if arm.joints[1] in c and "something happened" in c]
-    assert not [c for c in result.cautions if arm.joints[0] + " keeps" in c]
+    return rf.close_loop(write_files(tmp_path, arm, declared, runs, cutoff_hz=15.0))

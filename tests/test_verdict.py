@@ -76,6 +76,12 @@ def test_closed_again_what_was_explained_is_not_unexplained():
     assert verdict(near, before=near, found=False, free=far) == "unexplained"
 
 
+def test_errors_below_what_any_torque_is_measured_to_are_no_remainder():
+    none = (1e-6, 1e-6)  # N m, of torques of about 1
+    assert verdict(none, before=none, found=False, where=(NAMED,)) == "nothing_missing"
+    assert verdict(none, floor=(1e-8, 1e-8), where=(NAMED,)) == "explained"
+
+
 def test_at_the_noise_floor_all_is_explained_whatever_a_free_form_says():
     assert verdict((1.0, 1.0), floor=(1.0, 1.0)) == "explained"
     assert verdict((1.0, 1.0), floor=(1.0, 1.0), free=(0.1, 0.1)) == "explained"

@@ -535,12 +535,20 @@ class _Ended:
                 *constants,
                 *beyond,
                 *self._said(predictions),
-                *_event_words(happened, campaign.joints, known, after.validation),
+                *([] if remains.nothing else self._happened(happened, known)),
                 *(s.words for s in seldom),
                 *(s.words for s in self._frictions(left)),
                 *(s.words for s in drifts if floor is None or remains.left),
             ),
         )
+
+    def _happened(self, held_out: Sequence[Events], known: Explainable | None) -> Iterator[str]:
+        """What is said of short times with much of the error, held out and fitted."""
+        campaign, after = self.residual.campaign, self.standing.model.errors
+        follows = known.less_of(campaign.joints, after.validation.told) if known else []
+        yield from (e.words(e.joint in follows) for e in held_out)
+        fitted = _events_fitted(campaign, self.standing.model.identified)
+        yield from (e.words(False) for e in fitted if not e.held_by)
 
     def _frictions(self, left: tuple[tuple[Regression, Array], ...]) -> Iterator[OtherFriction]:
         """Recordings whose friction is not the model's, for the residuals of both roles."""
@@ -572,7 +580,8 @@ class _Ended:
         predicted = [predict(r, model) for r in replays]
         rates = [r.recording.sample_rate_hz for r in replays]
         found = beyond_model([r.torque for r in replays], predicted, rates)
-        return () if found is None else (found.words,)
+        so = " Without one nothing is called explained." if self.standing.steps else ""
+        return () if found is None else (found.words + so,)
 
     def _said(self, predictions: Sequence[Prediction]) -> tuple[str, ...]:
         """What signals and recordings ask to be said."""
@@ -674,9 +683,22 @@ def _check_torques(campaign: Campaign) -> None:
 def _events(joints: Sequence[str], predictions: Sequence[Prediction], effects: Sequence[Effect]) -> tuple[Events, ...]:
     recordings = [p.recording for p in predictions]
     left, velocity = [p.torque - p.after for p in predictions], [p.velocity for p in predictions]
-    remembering = {j: e.type_name() for e in effects if e.traits.remembers for j in e.joints}
     rates = [r.sample_rate_hz for r in recordings]
-    return events(joints, [r.name for r in recordings], rates, left, velocity, remembering)
+    return events(joints, [r.name for r in recordings], rates, left, velocity, _remembering(effects))
+
+
+def _events_fitted(campaign: Campaign, model: Identification) -> tuple[Events, ...]:
+    """The same of the recordings that the model was fitted to, in the rows of its fit."""
+    regression, joints, names = model.regression.motors, campaign.joints, [r.name for r in campaign.identification]
+    left = [model.residual[span, : len(joints)] for span in regression.spans]
+    rates, velocity = [s.rate_hz for s in regression.segments], [s.velocity for s in regression.segments]
+    begins = [s.kept.start / s.rate_hz for s in regression.segments]
+    found = events(joints, names, rates, left, velocity, _remembering(model.effects), begins)
+    return tuple(dataclasses.replace(e, role="in the recordings that were fitted") for e in found)
+
+
+def _remembering(effects: Sequence[Effect]) -> dict[str, str]:
+    return {j: e.type_name() for e in effects if e.traits.remembers for j in e.joints}
 
 
 def _slow(campaign: Campaign, predictions: Sequence[Prediction]) -> tuple[Slow | SlowAtRest, ...]:
@@ -692,13 +714,6 @@ def _slow(campaign: Campaign, predictions: Sequence[Prediction]) -> tuple[Slow |
 def _before_moves(predictions: Sequence[Prediction]) -> tuple[str, ...]:
     said = held_at_first(*zip(*((p.torque, p.after, p.waiting) for p in predictions), strict=True))
     return (said,) if said else ()
-
-
-def _event_words(
-    happened: Sequence[Events], joints: Sequence[str], known: Explainable | None, left: Errors
-) -> list[str]:
-    follows = known.less_of(joints, left.told) if known else []
-    return [e.words(e.joint in follows) for e in happened]
 
 
 def _moving(predictions: Sequence[Prediction]) -> MovingErrors:

@@ -34,6 +34,8 @@ class Events:
         Root mean square there over that elsewhere.
     held_by : str
         The effect of the joint that remembers what was before, where all these times are the first of a recording; else empty.
+    role : str
+        Of the recordings, as words say it.
     """
 
     joint: str
@@ -41,6 +43,7 @@ class Events:
     share: float
     times: float
     held_by: str = ""
+    role: str = "held out"
 
     def words(self, follows_motion: bool) -> str:
         """One caution; other words where a free form of the motion leaves much less of the joint's error."""
@@ -54,7 +57,7 @@ class Events:
             "other part of these recordings does."
         )
         return (
-            f"{self.share:.0%} of the squared error that {self.joint} keeps in motion, held out, lies around {where} alone, "
+            f"{self.share:.0%} of the squared error that {self.joint} keeps in motion, {self.role}, lies around {where} alone, "
             f"{self.times:.0f} times the error elsewhere: {why}"
         )
 
@@ -66,6 +69,7 @@ def events(
     left: Sequence[Array],
     velocity: Sequence[Array],
     remembering: Mapping[str, str] | None = None,
+    begins_s: Sequence[float] = (),
 ) -> tuple[Events, ...]:
     """Those of all joints, one entry a joint.
 
@@ -76,17 +80,21 @@ def events(
     rates_hz : sequence of float
         Sample rates.
     left, velocity : sequence of arrays, each (N, joints)
-        Torque error, N m (N), and velocity, rad/s (m/s), of every held-out recording.
+        Torque error, N m (N), and velocity, rad/s (m/s), of every recording of one role.
     remembering : mapping of str to str
         Joint -> name of what acts there and remembers the motion before.
+    begins_s : sequence of float, optional
+        Time of each first row from its recording's beginning, s; zero where not given.
     """
     rest = resting_each(velocity)
     since = [begun(still, rate) for still, rate in zip(rest, rates_hz, strict=True)]
     out = []
     for j, joint in enumerate(joints):
         parts = [
-            _Part(name, (edges[0] + edges[-1]) / 2 / rate, float((error[edges, j] ** 2).sum()), len(edges))
-            for name, rate, error, there, still in zip(names, rates_hz, left, since, rest, strict=True)
+            _Part(name, begin + (edges[0] + edges[-1]) / 2 / rate, float((error[edges, j] ** 2).sum()), len(edges))
+            for name, rate, begin, error, there, still in zip(
+                names, rates_hz, begins_s or [0.0] * len(names), left, since, rest, strict=True
+            )
             for edges in np.array_split(np.arange(len(error)), max(1, round(len(error) / rate / PART_S)))[:-1]
             if len(edges) and there[edges[0], j] and still[edges, j].sum() <= REST_S * rate
         ]

@@ -27,11 +27,12 @@ class BeyondModel:
     @property
     def words(self) -> str:
         """As a caution."""
+        hz = f"{float(f'{self.hz:.2g}'):g}"
         return (
-            f"No low-pass is stated, and {self.part:.0%} of the squared error on the fitted recordings lies above {self.hz:.2g} Hz, "
+            f"No low-pass is stated, and {self.part:.0%} of the squared error on the fitted recordings lies above {hz} Hz, "
             "where no joint's torque follows the model: what is noise there hides what is missing below, and noise of the angles "
             "bends the fit. "
-            f"[preprocessing] cutoff_hz = {self.hz:.2g}, or less, may tell more."
+            f"[preprocessing] cutoff_hz = {hz}, or less, may tell more."
         )
 
 

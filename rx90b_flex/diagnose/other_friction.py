@@ -87,8 +87,7 @@ def other_friction(
     for effect in rubbing:
         friction += (seen.columns(effect) @ effect.known_coefficients())[:, : residual.shape[1]]
     for name, span, segment in zip(names, regression.spans, regression.segments, strict=True):
-        order = [segment.motion.coordinates.joints.index(joint) for joint in regression.joints]
-        speed = np.abs(segment.motion.v[:: segment.factor][segment.kept][:, order])
+        speed = np.abs(segment.velocity)
         blocks = max(FEWEST_BLOCKS, int(len(speed) / segment.rate_hz / BLOCK_S))
         each = [
             (joint, *_change(friction[span, j], residual[span, j], speed[:, j], blocks))

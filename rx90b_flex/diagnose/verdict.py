@@ -21,6 +21,7 @@ STRONG = 0.2  # part of a joint's squared residual that depends on one signal: t
 ENOUGH = 0.8  # share of what a free form explains from which a residual counts as explained
 NEAR_FREE = 1.1  # a joint's error over that of its free form that is no sign of anything missing
 MOST_LEFT = 0.5  # of a joint's torque: what no free form predicts and no noise is known to be is not explained either
+NOTHING = 1e-4  # of the torque: less than any torque is measured to, as of recordings that somebody computed
 DEPENDS_FREE = 1.05  # and that is none either where the joint's residual still depends on a signal
 
 
@@ -74,8 +75,15 @@ class Remains:
         return verdict(self.found, self.left, carried and not self.doubtful)
 
     @property
+    def nothing(self) -> bool:
+        """Whether next to nothing is left, whatever it looks like."""
+        return self.after.told.validation.relative_error < NOTHING
+
+    @property
     def left(self) -> bool:
         """Whether something remains that is neither noise nor beyond what a free form explains."""
+        if self.nothing:
+            return False
         if self.floor is not None:
             # what happens at a few instants makes repeats differ, too: a floor that holds it hides it
             happened = self._among([e.joint for e in self.events])

@@ -116,6 +116,12 @@ class Segment:
         near = maximum_filter1d(still.astype(np.uint8), window, axis=0, mode="nearest") > 0
         return np.asarray((near & ~still)[:: self.factor][self.kept])
 
+    @property
+    def velocity(self) -> Array:
+        """Of the recording's joints at the fit's samples, rad/s (m/s), shape (N, joints)."""
+        order = [self.motion.coordinates.joints.index(joint) for joint in self.recording.joints]
+        return np.asarray(self.motion.v[:: self.factor][self.kept][:, order])
+
     def sticking(self, held: Sequence[Held]) -> Segment:
         """The same, with friction held in no other sticks (`Motion.sticking`)."""
         return dataclasses.replace(self, motion=self.motion.sticking(held))
