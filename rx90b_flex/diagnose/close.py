@@ -493,11 +493,10 @@ class _Ended:
             regression.forget(first_looks=True)
         held_out = residual.data.held_out.weighted(row_weights(residual.data.held_out, model))
         fitted = model.regression.motors, model.residual[:, : len(campaign.joints)]
-        left = fitted, (held_out, model.residual_on(held_out))
+        left, predictions = (fitted, (held_out, model.residual_on(held_out))), self._predictions()
         where, seldom = dependences(left, seed), shown_seldom(*left)
         cautions = _cautions(self.source, campaign)
         links_off, in_doubt = self._if_links_are_off(after.told.validation.relative_error)
-        predictions = self._predictions()
         tell("asking how much can be explained at all", 0.97)
         explainable = self._explainable(held_out, predictions, floor)
         known = explainable if isinstance(explainable, Explainable) else None
