@@ -29,6 +29,7 @@ from rx90b_flex.identify.grey_box import GreyBox, Progress, grey_box
 from rx90b_flex.identify.grey_data import Feedback, GreyBoxOptions, PoseResponse
 from rx90b_flex.identify.inverse_eigenvalue import DriveIdentification, identify_drives
 from rx90b_flex.identify.replay import Replay, ReplayedGreyBox, grey_box_by_replay, shifts_between, sticking
+from rx90b_flex.identify.response_faults import check_response
 from rx90b_flex.identify.stability import stable
 from rx90b_flex.identify.transfer_function import TransferFit, fit_transfer_functions
 from rx90b_flex.identify.validation import Validation, validate
@@ -375,11 +376,13 @@ def _at_pose(
     stages: _Stages,
 ) -> AtPose | None:
     """All stages of one pose; None without a frequency response."""
-    measured = stages.run(
-        "frequency response",
-        0.0,
-        lambda: estimate_frequency_response(recordings, band_hz=options.band_hz, mains_hz=options.mains_hz),
-    )
+
+    def response() -> MeasuredResponse:
+        found = estimate_frequency_response(recordings, band_hz=options.band_hz, mains_hz=options.mains_hz)
+        check_response(found, robot)
+        return found
+
+    measured = stages.run("frequency response", 0.0, response)
     if measured is None:
         return None
     transfer = stages.run(
