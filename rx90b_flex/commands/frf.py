@@ -117,15 +117,16 @@ def _modes(
 
 def _say(result: MotorIdentification) -> None:
     """Values with their intervals, by replay where that was done, and what qualifies them."""
-    from rx90b_flex.view.frf_report import bias_words, delay_words, hinge_words
+    from rx90b_flex.view.frf_report import amounts, bias_words, delay_words, hinge_words
 
     best = result.grey if result.replayed is None else result.replayed.grey
     if best is not None:
         how = "as measured" if result.replayed is None else "less the distortion that a replay explains"
         rows = []
         for e in best.estimates:
-            said = f"{e.value:.4g}" if e.determined else "not determined"
-            rows.append((e.name, said, f"{e.low:.4g} to {e.high:.4g}" if e.determined else "", e.unit))
+            _, value, low, high = amounts(e.std, e.value, e.low, e.high)
+            told = (value, f"{low} to {high}") if e.determined else ("not determined", "")
+            rows.append((e.name, *told, e.unit))
         head = ("parameter", "value", "95 % interval", "unit")
         show_table(f"{result.robot.name}, from motor signals, {how}", rows, head, head[1:3])
         if best.bias_detected:
