@@ -21,6 +21,7 @@ from rx90b_flex.diagnose.faults.repeated import repeated
 from rx90b_flex.diagnose.faults.sample import Reading, Sample
 from rx90b_flex.diagnose.faults.sensors import sensor_faults
 from rx90b_flex.diagnose.faults.sizes import impossible_sizes
+from rx90b_flex.diagnose.faults.speeds import speeds
 from rx90b_flex.diagnose.faults.stuck import (
     NEVER,
     frozen,
@@ -216,6 +217,7 @@ def _checked(
         basics = undeclared_basics(look, rigid, moving)
     elif constant.all():
         faults += unrelated(campaign.joints, np.ones(len(constant)), np.ones(len(constant)), constant, constant)
+    faults += speeds(mended, faults)
     facts = tuple(_facts(r) for r in mended)
     tell("done", 1.0)
     return Checked(
