@@ -23,7 +23,7 @@ def simulate_command(
     excitation: Annotated[bool, Option("--excitation", help="The excitation of section 4.2.2.")] = False,
     square_wave: Annotated[bool, Option("--square-wave", help="The square wave of section 6.6.2.")] = False,
     harmonics: Annotated[
-        bool, Option("--harmonics", help="Random harmonics of every joint, within any robot's limits.")
+        bool, Option("--harmonics", help="Random harmonics of every joint, within its range and speed.")
     ] = False,
     controller: Annotated[
         Path | None, Option(help="Controller file (TOML); else the one that the robot's file states.")
