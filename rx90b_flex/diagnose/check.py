@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from rx90b_flex.diagnose.faults.at_rest import AtRest
 from rx90b_flex.diagnose.faults.clipped import clipped
+from rx90b_flex.diagnose.faults.coarse import Coarse
 from rx90b_flex.diagnose.faults.compare import Found, faults_of
 from rx90b_flex.diagnose.faults.glitch import glitches
 from rx90b_flex.diagnose.faults.look import Look, Motors
@@ -200,7 +202,7 @@ def _checked(
     tell("looking at the signals", 0.1)
     faults, mended = glitches(campaign.recordings)
     still = no_excitation(mended)
-    faults += [*clipped(mended), *frozen(mended), *repeated(mended), *still]
+    faults += [*repeated(mended), *still]
     moving = moves(mended) > NEVER
     constant = not_measured(mended)
     parameters: tuple[ParameterStatus, ...] = ()
@@ -215,7 +217,9 @@ def _checked(
         side = torque_side(campaign.torque_side, look, faults, moving, _of_open_size(campaign))
         parameters = statuses(look, rigid, moving)
         basics = undeclared_basics(look, rigid, moving)
-    elif constant.all():
+    else:
+        faults += [*clipped(mended), *frozen(mended)]
+    if constant.all():
         faults += unrelated(campaign.joints, np.ones(len(constant)), np.ones(len(constant)), constant, constant)
     faults += speeds(mended, faults)
     facts = tuple(_facts(r) for r in mended)
@@ -243,12 +247,14 @@ def _compared(
 ) -> tuple[Look, list[DataFault]]:
     """What may be wrong beside what shows in the log itself, and the look at the data with it mended."""
     found, look = faults_of(_look(campaign, recordings, rigid))
-    faults = [*faults, *map(_fault, found)]
+    coarse = Coarse(look, recordings)
+    faults = [*faults, *clipped(recordings, coarse), *frozen(recordings, coarse), *map(_fault, found)]
     goes = moves_within(recordings) > NEVER
     lost = unrelated(campaign.joints, *look.errors_at_least(), goes, constant)
     faults += list(impossible_sizes(look, [*faults, *lost]))
     faults = [f for f in faults if not _gain_is_open(f, campaign)]
-    faults += [*stuck(recordings, np.sqrt(look.fit().error)), *stuck_in_one(recordings, look)]
+    at_rest = AtRest.of(look, recordings)
+    faults += [*stuck(recordings, np.sqrt(look.fit().error), at_rest), *stuck_in_one(recordings, look, at_rest)]
     return look, [f for f in faults if not _of_no_use(f, lost, campaign.joints)] + lost + sensor_faults(campaign)
 
 

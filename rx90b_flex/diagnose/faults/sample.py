@@ -251,8 +251,19 @@ class Sample:
             A recording that is shorter than the low-pass.
         """
         cutoff = min(campaign.cutoff_hz or sensible_cutoff_hz(recordings), quiet_cutoff_hz(recordings))
+        return Sample._made(campaign.joints, recordings, cutoff, [np.zeros(0, dtype=int)] * len(recordings))
+
+    def with_rows(self, recordings: Sequence[Recording], rows: Sequence[Indices]) -> Sample:
+        """The sample of the same recordings with some more rows of each, but for those at its ends that the low-pass spoils."""
+        return Sample._made(self.joints, recordings, self.cutoff_hz, rows)
+
+    @staticmethod
+    def _made(
+        joints: tuple[str, ...], recordings: Sequence[Recording], cutoff: float, more: Sequence[Indices]
+    ) -> Sample:
         total = sum(r.samples for r in recordings)
-        parts = [_part(r, cutoff, max(1, total // ROWS)) for r in recordings]
+        every = max(1, total // ROWS)
+        parts = [_part(r, cutoff, every, rows) for r, rows in zip(recordings, more, strict=True)]
         q, v, a, dry, wound = (np.concatenate([p[k] for p, _ in parts]) for k in range(5))
         tracks = tuple(track for _, track in parts)
         blocks = [max(2, round(BLOCKS * r.samples / total)) for r in recordings]
@@ -261,7 +272,7 @@ class Sample:
         )
         starts = np.cumsum([0, *blocks[:-1]]).repeat([len(t.rows) for t in tracks])
         left = _left(q, _spans(tracks))
-        return Sample(campaign.joints, q, v, a, dry, wound, left, tracks, (fold + starts) % FOLDS, cutoff)
+        return Sample(joints, q, v, a, dry, wound, left, tracks, (fold + starts) % FOLDS, cutoff)
 
     def torque_of(self, reading: Reading) -> tuple[Array, Array]:
         """Torque columns at the times of a reading, (R, joints), and which rows lie inside the logs, (R,) bool."""
@@ -277,7 +288,12 @@ class Sample:
         """
         for track, log in zip(self.tracks, reading.logs, strict=True):
             late = np.round((np.array(log.shift_s)[:, None] + lags) * track.rate_hz).astype(int)
-            yield _torque(track, log, reading), track.rows + late[..., None]
+            yield _torque(track.torque, log, reading), track.rows + late[..., None]
+
+    def as_read(self, reading: Reading, torques: Sequence[Array]) -> list[Array]:
+        """Torque columns of each log (N, joints) as those of each joint, at their own times."""
+        order, scale = list(reading.torque_order), np.array(reading.torque_scale)
+        return [_torque(x, log, reading)[:, order] * scale for x, log in zip(torques, reading.logs, strict=True)]
 
     def torque_seen(self, reading: Reading) -> Array:
         """Torque of each joint as a reading has it, shape (R, joints), N m."""
@@ -362,10 +378,9 @@ class Sample:
         return reading.robot.motion(*(x @ to_joints for x in self.seen(reading)[:3]))
 
 
-def _torque(track: Track, log: OneLog, reading: Reading) -> Array:
+def _torque(torque: Array, log: OneLog, reading: Reading) -> Array:
     """Torque columns as a reading counts them, (N, joints)."""
     plain = OneLog.of(len(log.order))
-    torque = track.torque
     if (log.torque_order, log.torque_scale) != (plain.torque_order, plain.torque_scale):
         torque = torque[:, list(log.torque_order)] * log.torque_scale
     return torque if reading.torque_mix is None else torque @ np.array(reading.torque_mix).T
@@ -385,7 +400,7 @@ def _left(q: Array, spans: Sequence[slice]) -> Mask:
     return out
 
 
-def _part(recording: Recording, cutoff: float, every: int) -> tuple[tuple[Array, ...], Track]:
+def _part(recording: Recording, cutoff: float, every: int, more: Indices) -> tuple[tuple[Array, ...], Track]:
     rate = recording.sample_rate_hz
     cutoff = min(cutoff, HIGHEST * rate)
     # never none: differentiated twice, a counter's noise outweighs any motion
@@ -402,6 +417,7 @@ def _part(recording: Recording, cutoff: float, every: int) -> tuple[tuple[Array,
         raise ValueError(f"{recording.source or recording.name}: {error}") from None
     edge = min(minimum_samples(cutoff, rate) // 3, recording.samples // 20)
     rows = np.arange(edge, recording.samples - edge, every)
+    rows = np.union1d(rows, more[(more >= edge) & (more < recording.samples - edge)])
     return tuple(x[rows] for x in (q, v, a, dry, wound)), Track(
         torque, rows, rate, recording.file_name, recording.payload
     )

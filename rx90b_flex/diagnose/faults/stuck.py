@@ -6,6 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from rx90b_flex.diagnose.faults.at_rest import UNEXPLAINED, AtRest
+from rx90b_flex.diagnose.faults.coarse import Coarse, Run
 from rx90b_flex.diagnose.faults.look import Look
 from rx90b_flex.effects.motion import Array, Indices, Mask
 from rx90b_flex.signals import Recording
@@ -20,8 +22,9 @@ NOTHING = 0.6  # of the samples in which a joint moves: a torque that is zero in
 JUMP = 8.0  # times the usual step at the end of such a segment, and times the usual length of a torque's
 USUAL_RUN = 0.9  # of the stretches in which a torque keeps a value are shorter: with a coarse torque there are many
 MOST = 0.8  # of a torque's stretch in which the joint moves
+STAYS = 0.5  # of the steps in motion in which a torque keeps its value: more is one of coarse steps
+LONGEST = 20  # such stretches of a column that are looked at
 SWINGS = 0.2  # of the same torque's standard deviation in other recordings: more than noise
-UNEXPLAINED = 0.5  # relative error of a joint at rest from which on it was not at rest
 
 
 def moves(recordings: Sequence[Recording]) -> Array:
@@ -48,34 +51,34 @@ def moves_within(recordings: Sequence[Recording]) -> Array:
     return np.max([np.ptp(r.position, axis=0) for r in recordings], axis=0)
 
 
-def stuck(recordings: Sequence[Recording], errors: Array) -> Iterator[DataFault]:
-    """Joints that never move, by their torque's relative error under the rigid model (joints,): held, or their sensor stands."""
-    for joint, reach, error in zip(recordings[0].joints, moves(recordings), errors, strict=True):
+def stuck(recordings: Sequence[Recording], errors: Array, at_rest: AtRest) -> Iterator[DataFault]:
+    """Joints that never move: held, by their torque's relative error under the rigid model (joints,) or by what a joint at rest may
+    leave, or their sensor stands.
+    """
+    moved = (errors >= UNEXPLAINED) & at_rest.moved()
+    for joint, reach, went in zip(recordings[0].joints, moves(recordings), moved, strict=True):
         if reach > NEVER:
             continue
-        held = bool(error < UNEXPLAINED)
         cure = (
-            "it is taken as held; its own parameters are not told"
-            if held
-            else "but its torque is not that of a joint at rest: check the sensor and its column"
+            "but its torque is not that of a joint at rest: check the sensor and its column"
+            if went
+            else "it is taken as held; its own parameters are not told"
         )
         message = f"{joint} never moves in the log (by {reach:.2g} rad in all): {cure}."
-        yield DataFault("stuck", "motor_position", (joint,), message, usable=held)
+        yield DataFault("stuck", "motor_position", (joint,), message, usable=not went)
 
 
-def stuck_in_one(recordings: Sequence[Recording], look: Look) -> Iterator[DataFault]:
+def stuck_in_one(recordings: Sequence[Recording], look: Look, at_rest: AtRest) -> Iterator[DataFault]:
     """Joints whose position keeps one number all through a recording, while their torque swings as that of none at rest does."""
-    predicted, measured = look.predicted(), look.measured()
-    swing, left = (
-        np.array([x[span].std(axis=0) for span in look.sample.spans]) for x in (measured, measured - predicted)
-    )
+    swing = np.array([x.std(axis=0) for x in (look.measured()[span] for span in look.sample.spans)])
+    moved = at_rest.moved_in()
     for i, recording in enumerate(recordings):
         for k, joint in enumerate(recording.joints):
             elsewhere = np.delete(swing[:, k], i).max(initial=0.0)
             still = np.ptp(recording.position[:, k]) == 0.0 and any(
                 np.ptp(r.position[:, k]) > NEVER for r in recordings
             )
-            if still and swing[i, k] > SWINGS * elsewhere and left[i, k] > UNEXPLAINED * swing[i, k]:
+            if still and swing[i, k] > SWINGS * elsewhere and moved[i, k]:
                 message = (
                     f"{recording.file_name}: the position of {joint} keeps one number all through, but its torque is not that of a "
                     "joint at rest: its sensor stood, or the column is not its; leave the recording out."
@@ -83,19 +86,26 @@ def stuck_in_one(recordings: Sequence[Recording], look: Look) -> Iterator[DataFa
                 yield DataFault("stuck", "motor_position", (joint,), message)
 
 
-def frozen(recordings: Sequence[Recording]) -> Iterator[DataFault]:
-    """Positions that keep the same number for a while and then jump to where the joint has gone; torques that keep it in motion."""
-    for recording in recordings:
-        need = max(FEWEST, round(FROZEN_S * recording.sample_rate_hz))
+def frozen(recordings: Sequence[Recording], coarse: Coarse | None = None) -> Iterator[DataFault]:
+    """Positions that keep the same number for a while and then jump to where the joint has gone; torques that keep it in motion, but
+    for those in coarse steps that may.
+    """
+    held = _held_torques(recordings, coarse)
+    for i, recording in enumerate(recordings):
+        need = _need(recording)
         for k, joint in enumerate(recording.joints):
-            position, torque = recording.position[:, k], recording.torque[:, k]
             found = (
-                ("motor_position", f"the position of {joint} stands still", "then jumps", _lost(position, need)),
+                (
+                    "motor_position",
+                    f"the position of {joint} stands still",
+                    "then jumps",
+                    _lost(recording.position[:, k], need),
+                ),
                 (
                     "torque",
                     f"the torque of {joint} keeps one value",
                     "the joint moves on",
-                    _held(torque, position, need),
+                    [r.start + 1 for r in held if (r.recording, r.column) == (i, k)],
                 ),
             )
             for signal, what, but, rows in found:
@@ -105,6 +115,37 @@ def frozen(recordings: Sequence[Recording]) -> Iterator[DataFault]:
                         "(start_s, end_s)."
                     )
                     yield DataFault("stuck", signal, (joint,), message, rows=tuple(rows[:20]))
+
+
+def _need(recording: Recording) -> int:
+    """Samples of the shortest stretch."""
+    return max(FEWEST, round(FROZEN_S * recording.sample_rate_hz))
+
+
+def _held_torques(recordings: Sequence[Recording], coarse: Coarse | None) -> list[Run]:
+    """Stretches in which a torque keeps one value while its joint moves on, and not for its resolution."""
+    held, in_doubt = [], []
+    for i, recording in enumerate(recordings):
+        for k, (torque, position) in enumerate(zip(recording.torque.T, recording.position.T, strict=True)):
+            runs = [Run(i, k, start, end) for start, end in _held(torque, position, _need(recording))]
+            # one that changes in most samples does not stay so long by chance
+            if coarse is None or not runs or _stays(torque, position) < STAYS:
+                held += runs
+            else:
+                # if the longest are within a step, others are
+                in_doubt += sorted(runs, key=lambda r: r.start - r.end)[:LONGEST]
+    may = coarse.may_keep(in_doubt) if coarse is not None else set()
+    return sorted([*held, *(r for r in in_doubt if r not in may)])
+
+
+def _stays(torque: Array, position: Array) -> float:
+    """Share of the steps of a joint in motion in which its torque keeps its value."""
+    return float(np.mean((np.diff(torque) == 0.0)[_in_motion(position)]))
+
+
+def _in_motion(position: Array) -> Mask:
+    speed = np.abs(np.diff(position))
+    return np.asarray(speed > MOVING * speed.max())
 
 
 def _runs(x: Array) -> tuple[Indices, Indices]:
@@ -124,21 +165,20 @@ def _lost(position: Array, need: int) -> list[int]:
     return [int(start) + 1 for start in starts[lost]]
 
 
-def _held(torque: Array, position: Array, need: int) -> list[int]:
-    """First rows, counted from 1, of a torque that keeps one value so long in motion, and seldom for long otherwise: its steps are no
-    matter; zero or its largest value is another's.
+def _held(torque: Array, position: Array, need: int) -> list[tuple[int, int]]:
+    """First and last rows, counted from 0, of a torque that keeps one value so long in motion, and seldom for long otherwise; zero or
+    its largest value is another's.
     """
     starts, ends = _runs(torque)
     if not len(starts):
         return []
-    speed = np.abs(np.diff(position))
-    before = np.concatenate([[0], np.cumsum(speed > MOVING * speed.max())])
+    before = np.concatenate([[0], np.cumsum(_in_motion(position))])
     moved = (before[ends] - before[starts]) / (ends - starts)
     usual = np.quantile(ends - starts, USUAL_RUN) if len(starts) > FEWEST else 1.0
     value = torque[starts]
     known = (value == 0.0) | (value == torque.max()) | (value == torque.min())
     held = (ends - starts >= max(need, JUMP * usual)) & (moved > MOST) & ~known
-    return [int(start) + 1 for start in starts[held]]
+    return [(int(start), int(end)) for start, end in zip(starts[held], ends[held], strict=True)]
 
 
 def no_excitation(recordings: Sequence[Recording]) -> list[DataFault]:
