@@ -11,11 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from rx90b_flex.diagnose.faults.look import Look
-from rx90b_flex.effects.motion import Array, Indices, Mask
+from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.signals import Recording
 from rx90b_flex.signals.facts import counter_steps
 
-BESIDE = 2.0  # times what the rigid model leaves of a torque anywhere: that much it may leave in a stretch, too
+BESIDE = 3.0  # times what the rigid model leaves of a torque anywhere: that much it may leave in a stretch, too
+FAR = 8.0  # times the same: no model goes by that much without a cause
+LEAVES = 1.5  # steps to the next value: what stays within a step goes on by one
+EDGE = 0.25  # of a stretch at the most that is left out at each end
 LOOKED_AT = 12  # rows of a stretch
 
 
@@ -45,7 +48,11 @@ class Coarse:
         return np.asarray(np.max([counter_steps(r.torque) for r in self.recordings], axis=0))
 
     def may_keep(self, runs: Collection[Run]) -> set[Run]:
-        """Those in which the torque that the motion asks for stays within a step, as far as the model tells."""
+        """Those in which the torque that the motion asks for stays within a step, as far as the model tells.
+
+        Where the value after it is the next one of the grid, the torque has not gone elsewhere meanwhile, and the model is not
+        believed unless it says so by far.
+        """
         runs = [r for r in runs if self.steps[r.column] > 0.0]
         if not runs:
             return set()
@@ -56,11 +63,24 @@ class Coarse:
         out = set()
         for run in runs:
             joint, own = self._joint(run.column), sample.tracks[run.recording].rows
-            inside = left[sample.spans[run.recording], joint][(own >= run.start) & (own <= run.end)]
+            edge = self._edge(run)
+            inside = left[sample.spans[run.recording], joint][(own >= run.start + edge) & (own <= run.end - edge)]
             usual = np.sqrt((self._left[:, joint] ** 2).mean())
-            if len(inside) and np.ptp(inside) <= self._steps_read[joint] + BESIDE * usual:
+            beside = (BESIDE if self._jumps(run) else FAR) * usual
+            if len(inside) == 0 or np.ptp(inside) <= self._steps_read[joint] + beside:
                 out.add(run)
         return out
+
+    def _edge(self, run: Run) -> int:
+        """Rows at each end of a run into which the low-pass carries what is beyond: friction that turns over there, say."""
+        rate = self.recordings[run.recording].sample_rate_hz
+        return min(round(0.5 * rate / self.look.sample.cutoff_hz), round(EDGE * (run.end - run.start)))
+
+    def _jumps(self, run: Run) -> bool:
+        """Whether the value behind a run is no neighbour of its own."""
+        torque = self.recordings[run.recording].torque[:, run.column]
+        after = torque[min(run.end + 1, len(torque) - 1)]
+        return bool(abs(after - torque[run.end]) > LEAVES * self.steps[run.column])
 
     def may_end(self, column: int, sign: float) -> bool:
         """Whether the torque that the motion asks for goes no further than half a step beyond the column's largest value.
@@ -72,8 +92,9 @@ class Coarse:
         sign *= float(np.sign(self.look.reading.torque_scale[joint]))
         rows = np.concatenate([x[t.rows, joint] for x, t in zip(self._read, self.look.sample.tracks, strict=True)])
         slack = 1e-6 * np.ptp(read)
-        at = sign * rows >= (sign * read).max() - slack
-        between: Mask = ~at & (sign * rows > (sign * read).min() + slack)
+        counts = self.look.sample.left_seen(self.look.reading)[:, joint]
+        at = counts & (sign * rows >= (sign * read).max() - slack)
+        between = counts & ~at & (sign * rows > (sign * read).min() + slack)
         if not (at.any() and between.any()):
             return False
         beyond = sign * (self.look.predicted()[:, joint] - rows)[at]

@@ -22,7 +22,10 @@ NOTHING = 0.6  # of the samples in which a joint moves: a torque that is zero in
 JUMP = 8.0  # times the usual step at the end of such a segment, and times the usual length of a torque's
 USUAL_RUN = 0.9  # of the stretches in which a torque keeps a value are shorter: with a coarse torque there are many
 MOST = 0.8  # of a torque's stretch in which the joint moves
-STAYS = 0.5  # of the steps in motion in which a torque keeps its value: more is one of coarse steps
+CHANGES, TURNS = (
+    0.5,
+    0.5,
+)  # of the steps in motion that change a torque with noise, and of these that go back: two thirds are usual
 LONGEST = 20  # such stretches of a column that are looked at
 SWINGS = 0.2  # of the same torque's standard deviation in other recordings: more than noise
 
@@ -126,21 +129,24 @@ def _held_torques(recordings: Sequence[Recording], coarse: Coarse | None) -> lis
     """Stretches in which a torque keeps one value while its joint moves on, and not for its resolution."""
     held, in_doubt = [], []
     for i, recording in enumerate(recordings):
+        need = _need(recording)
         for k, (torque, position) in enumerate(zip(recording.torque.T, recording.position.T, strict=True)):
-            runs = [Run(i, k, start, end) for start, end in _held(torque, position, _need(recording))]
-            # one that changes in most samples does not stay so long by chance
-            if coarse is None or not runs or _stays(torque, position) < STAYS:
-                held += runs
-            else:
-                # if the longest are within a step, others are
+            if coarse is not None and coarse.steps[k] > 0.0 and not _noisy(torque, position):
+                runs = [Run(i, k, *rows) for rows in _held(torque, position, need, seldom=False)]
+                # if the longest may, others may
                 in_doubt += sorted(runs, key=lambda r: r.start - r.end)[:LONGEST]
+            else:
+                held += [Run(i, k, *rows) for rows in _held(torque, position, need)]
     may = coarse.may_keep(in_doubt) if coarse is not None else set()
     return sorted([*held, *(r for r in in_doubt if r not in may)])
 
 
-def _stays(torque: Array, position: Array) -> float:
-    """Share of the steps of a joint in motion in which its torque keeps its value."""
-    return float(np.mean((np.diff(torque) == 0.0)[_in_motion(position)]))
+def _noisy(torque: Array, position: Array) -> bool:
+    """Whether a torque goes to and fro from sample to sample by more than its steps: it does not keep a value by chance."""
+    change = np.diff(torque)[_in_motion(position)]
+    product = change[1:] * change[:-1]
+    turns = product[product != 0.0] < 0.0
+    return bool(turns.any() and turns.mean() > TURNS and (change != 0.0).mean() > CHANGES)
 
 
 def _in_motion(position: Array) -> Mask:
@@ -165,16 +171,16 @@ def _lost(position: Array, need: int) -> list[int]:
     return [int(start) + 1 for start in starts[lost]]
 
 
-def _held(torque: Array, position: Array, need: int) -> list[tuple[int, int]]:
-    """First and last rows, counted from 0, of a torque that keeps one value so long in motion, and seldom for long otherwise; zero or
-    its largest value is another's.
+def _held(torque: Array, position: Array, need: int, seldom: bool = True) -> list[tuple[int, int]]:
+    """First and last rows, counted from 0, of a torque that keeps one value so long in motion, and `seldom` for long otherwise; zero
+    or its largest value is another's.
     """
     starts, ends = _runs(torque)
     if not len(starts):
         return []
     before = np.concatenate([[0], np.cumsum(_in_motion(position))])
     moved = (before[ends] - before[starts]) / (ends - starts)
-    usual = np.quantile(ends - starts, USUAL_RUN) if len(starts) > FEWEST else 1.0
+    usual = np.quantile(ends - starts, USUAL_RUN) if seldom and len(starts) > FEWEST else 1.0
     value = torque[starts]
     known = (value == 0.0) | (value == torque.max()) | (value == torque.min())
     held = (ends - starts >= max(need, JUMP * usual)) & (moved > MOST) & ~known
