@@ -22,7 +22,7 @@ EDGE = 0.25  # of a stretch at the most that is left out at each end
 LOOKED_AT = 12  # rows of a stretch
 
 
-class Run(NamedTuple):
+class Stretch(NamedTuple):
     """Rows from `start` to `end` of a torque column that keep one value."""
 
     recording: int
@@ -47,7 +47,7 @@ class Coarse:
         """Grid of each torque column, zero where there is none, shape (columns,), N m."""
         return np.asarray(np.max([counter_steps(r.torque) for r in self.recordings], axis=0))
 
-    def may_keep(self, runs: Collection[Run]) -> set[Run]:
+    def may_keep(self, runs: Collection[Stretch]) -> set[Stretch]:
         """Those in which the torque that the motion asks for stays within a step, as far as the model tells.
 
         Where the value after it is the next one of the grid, the torque has not gone elsewhere meanwhile, and the model is not
@@ -71,12 +71,12 @@ class Coarse:
                 out.add(run)
         return out
 
-    def _edge(self, run: Run) -> int:
+    def _edge(self, run: Stretch) -> int:
         """Rows at each end of a run into which the low-pass carries what is beyond: friction that turns over there, say."""
         rate = self.recordings[run.recording].sample_rate_hz
         return min(round(0.5 * rate / self.look.sample.cutoff_hz), round(EDGE * (run.end - run.start)))
 
-    def _jumps(self, run: Run) -> bool:
+    def _jumps(self, run: Stretch) -> bool:
         """Whether the value behind a run is no neighbour of its own."""
         torque = self.recordings[run.recording].torque[:, run.column]
         after = torque[min(run.end + 1, len(torque) - 1)]
@@ -119,6 +119,6 @@ class Coarse:
         return np.asarray(np.max([counter_steps(x) for x in self._read], axis=0))
 
 
-def _rows(runs: Collection[Run]) -> Indices:
+def _rows(runs: Collection[Stretch]) -> Indices:
     some = [np.linspace(r.start, r.end, LOOKED_AT).astype(int) for r in runs]
     return np.concatenate(some) if some else np.zeros(0, dtype=int)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from rx90b_flex.diagnose.faults.at_rest import UNEXPLAINED, AtRest
-from rx90b_flex.diagnose.faults.coarse import Coarse, Run
+from rx90b_flex.diagnose.faults.coarse import Coarse, Stretch
 from rx90b_flex.diagnose.faults.look import Look
 from rx90b_flex.effects.motion import Array, Indices, Mask
 from rx90b_flex.signals import Recording
@@ -125,18 +125,18 @@ def _need(recording: Recording) -> int:
     return max(FEWEST, round(FROZEN_S * recording.sample_rate_hz))
 
 
-def _held_torques(recordings: Sequence[Recording], coarse: Coarse | None) -> list[Run]:
+def _held_torques(recordings: Sequence[Recording], coarse: Coarse | None) -> list[Stretch]:
     """Stretches in which a torque keeps one value while its joint moves on, and not for its resolution."""
     held, in_doubt = [], []
     for i, recording in enumerate(recordings):
         need = _need(recording)
         for k, (torque, position) in enumerate(zip(recording.torque.T, recording.position.T, strict=True)):
             if coarse is not None and coarse.steps[k] > 0.0 and not _noisy(torque, position):
-                runs = [Run(i, k, *rows) for rows in _held(torque, position, need, seldom=False)]
+                runs = [Stretch(i, k, *rows) for rows in _held(torque, position, need, seldom=False)]
                 # if the longest may, others may
                 in_doubt += sorted(runs, key=lambda r: r.start - r.end)[:LONGEST]
             else:
-                held += [Run(i, k, *rows) for rows in _held(torque, position, need)]
+                held += [Stretch(i, k, *rows) for rows in _held(torque, position, need)]
     may = coarse.may_keep(in_doubt) if coarse is not None else set()
     return sorted([*held, *(r for r in in_doubt if r not in may)])
 
