@@ -88,7 +88,7 @@ def test_joints_held_at_rest_are_taken_as_held_whatever_noise_is_on_them(tmp_pat
     """Four of six, whose loads hardly change: nearly all that their torques do is noise."""
     arm, rng, runs = ind.ur10(), np.random.default_rng(1), []
     for role in ROLES:
-        m = with_held(ind.harmonics(rng, 6, period_s=10.0, rate_hz=50.0, speed=1.0), (1, 2, 4, 5))
+        m = with_held(ind.harmonics(rng, 6, period_s=8.0, rate_hz=50.0, speed=1.0), (1, 2, 4, 5))
         load = arm.torque(m)
         noise = ind.coloured(rng, len(m.time), 0.01 * np.abs(load).max(axis=0) + 0.01, 0.8)
         runs.append(ind.run(arm, role, m, [ind.friction([5.0] * 6, [2.0] * 6)], noise))
