@@ -445,7 +445,21 @@ class Search:
         residual = self.present.residual[joint]
         segments = self.regression.segments
         each = [(s.sampled, residual[span]) for s, span in zip(segments, self.regression.spans, strict=True)]
-        return effect.shape_search(self.longest, LeftOver(each, segments[0].cutoff_hz, replaced)).starts[:, free]
+        search = effect.shape_search(self.longest, LeftOver(each, segments[0].cutoff_hz, replaced))
+        starts = search.starts[:, free]
+        return np.vstack([starts, self._mixed(effect, starts)]) if search.mixes else starts
+
+    def _mixed(self, effect: Effect, starts: Array) -> Array:
+        """Mean of starts, weighted with what each has where all are fitted side by side, (1, s); none where that is out of range."""
+        regression, base, _ = self._looked_at(effect, self.present, self._glimpsed(effect, starts))
+        rows, columns = regression.compact([self._shaped(effect, s) for s in starts], leading=True)
+        none = np.zeros((0, starts.shape[1]))
+        if len(rows) == 0:
+            return none
+        each = solve_beside(*base.projected(rows, columns))
+        low, high = effect.shape_range(self.longest)[:, self.free(effect)]
+        mean = each @ starts / total if (total := each.sum()) > 0.0 else low - 1.0
+        return mean[None] if ((low <= mean) & (mean <= high)).all() else none
 
     def _over_shapes(
         self, effect: Effect, starts: Array, base: Base, glimpsed: bool = False

@@ -72,12 +72,16 @@ class ShapeSearch:
         Of the best start, how far the best shape may lie from it.
     spread : array, shape (s,), or None
         The same as it is, where it does not grow with the start.
+    mixes : bool
+        Whether several at all starts together come near one at the mean of these, weighted with their single coefficients: that
+        is one more start, wherever it lies.
     """
 
     starts: Array
     independent: int = 1
     part: float | Array = 0.3
     spread: Array | None = None
+    mixes: bool = False
 
     def reach(self, start: Array) -> Array:
         """How far the best shape may lie from a start (s,), shape (s,)."""

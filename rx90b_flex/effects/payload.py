@@ -61,8 +61,10 @@ class Payload(FrameEffect, ShownAtRest, behind_gear=True, adds_inertia=True, par
         return PointMass(self.frame, float(self.known_coefficients()[0]), self.known_shape())
 
     def shape_search(self, motion: Motion, left: LeftOver | None = None) -> ShapeSearch:
-        corners = np.array(list(itertools.product((-REACH, REACH), repeat=3)))
-        return ShapeSearch(corners, independent=4, spread=np.full(3, REACH))
+        # a mass elsewhere may look like none of these alone, for the last joints, which feel least of it, tell most of where it is.
+        # Several pull as their sum does at their centre of mass, and with one at the frame they need not have more inertia than it
+        corners = np.array([(0.0, 0.0, 0.0), *itertools.product((-REACH, REACH), repeat=3)])
+        return ShapeSearch(corners, independent=4, spread=np.full(3, REACH), mixes=True)
 
     @classmethod
     def at_rest(cls, sites: RestSites) -> list[Self]:

@@ -104,6 +104,11 @@ class Regression:
         """The same, with friction held in these sticks alone."""
         return self._with_segments(tuple(s.sticking(held) for s in self.segments), held)
 
+    def with_torques_times(self, factors: Array) -> Regression:
+        """The same motion, with the measured torque of each joint times a factor, (joints,)."""
+        segments = (dataclasses.replace(s, torque=s.torque * factors) for s in self.segments)
+        return self._with_segments(tuple(segments), self.sticking)
+
     def _with_segments(self, segments: tuple[Segment, ...], held: tuple[Held, ...]) -> Regression:
         """The same motion with friction held in these sticks."""
         return self._with_links_of(dataclasses.replace(self, segments=segments, sticking=held))

@@ -22,6 +22,8 @@ from rx90b_flex.signals import Campaign
 
 TOLD = 0.5  # standard deviation of a constant, part of it, up to which it is told
 ACROSS = 1e-3  # part of a direction that the data do not determine, up to which a ratio of constants is across it
+ROUNDS = 4  # fits of shapes to torques by the constants that the fit before told
+SETTLED = 0.1  # of its standard deviation, by which no constant changes in the last of them
 FAR = 100.0  # times the median of a first guess: constants of one robot are not that far apart
 
 
@@ -113,15 +115,9 @@ def scaled(campaign: Campaign, factors: dict[str, float]) -> Campaign:
 
 def _from_model(campaign: Campaign, robot: Robot, joints: Sequence[str]) -> list[tuple[TorqueConstant, float]]:
     """Constants that make one model fit all joints, and the scales to go on with where they are not determined."""
-    regression = Regression.of(robot, campaign.identification, campaign.cutoff_hz)
-    model = identify(
-        regression, regression.robot.effects, fit_links=robot.inertial_parameters == "fitted", with_covariance=False
-    )
-    fit = _Bilinear(regression, model, [campaign.joints.index(j) for j in joints]).solved()
+    fit, together, scales = _told(campaign, robot, joints)
     units = [f"{u.force}/A" for u in robot.units_of(joints)]
     sure = fit.sure
-    together = _Together.of(fit, ~sure)
-    scales = _scales(fit, together)
     out = []
     for k, (joint, unit) in enumerate(zip(joints, units, strict=True)):
         value = float(1.0 / fit.gains[k])
@@ -143,6 +139,29 @@ def _from_model(campaign: Campaign, robot: Robot, joints: Sequence[str]) -> list
             open_one = TorqueConstant(joint, None, None, "not determined", words, other, ratio, spread)
         out.append((open_one, scales[k]))
     return out
+
+
+def _told(campaign: Campaign, robot: Robot, joints: Sequence[str]) -> tuple[_Gains, _Together, list[float]]:
+    """Gains of joints, what of the rest they tell together, and constants to go on with.
+
+    Shapes, such as the speed at which friction turns over, are those of a model that was fitted to torques by the constants of the
+    round before; of the first round these are in amperes, beside a payload in N m. What such shapes are off, the constants are, too.
+    """
+    regression = Regression.of(robot, campaign.identification, campaign.cutoff_hz)
+    places, fit_links = [campaign.joints.index(j) for j in joints], robot.inertial_parameters == "fitted"
+    scales = [1.0] * len(joints)
+    for _ in range(ROUNDS):
+        before, factors = np.array(scales), np.ones(len(campaign.joints))
+        factors[places] = before
+        seen = regression.with_torques_times(factors)
+        model = identify(seen, seen.robot.effects, fit_links=fit_links, with_covariance=False)
+        fit = _Bilinear(seen, model, places).solved().of_torques_times(before)
+        together = _Together.of(fit, ~fit.sure)
+        scales = _scales(fit, together)
+        spread = np.where(fit.sure, fit.std / np.abs(fit.gains), np.where(together.told, together.spread, np.inf))
+        if (np.abs(np.array(scales) / before - 1.0) <= SETTLED * spread).all():
+            break
+    return fit, together, scales
 
 
 def _scales(fit: _Gains, together: _Together) -> list[float]:
@@ -167,6 +186,11 @@ class _Gains:
     covariance: Array
     determined: Mask
     null: Array
+
+    def of_torques_times(self, factors: Array) -> _Gains:
+        """Those of the torques before these were multiplied by factors (g,)."""
+        covariance = self.covariance / np.outer(factors, factors)
+        return dataclasses.replace(self, gains=self.gains / factors, covariance=covariance)
 
     @property
     def std(self) -> Array:
