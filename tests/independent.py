@@ -64,6 +64,11 @@ def ur10(heavier: float = 1.0) -> Arm:
     return Arm("example-robot-data:ur10", model)
 
 
+def ur5() -> Arm:
+    """The UR5."""
+    return Arm("example-robot-data:ur5", example("ur5"))
+
+
 def panda() -> Arm:
     """The Panda's seven joints, its fingers held closed."""
     model = example("panda").copy()

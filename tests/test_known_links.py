@@ -9,6 +9,12 @@ import numpy as np
 import pytest
 
 import rx90b_flex as rf
+from rx90b_flex.diagnose.search import Search
+from rx90b_flex.effects import Sites
+from rx90b_flex.effects.payload import Payload
+from rx90b_flex.identify.least_squares import identify
+from rx90b_flex.identify.regression import Regression
+from rx90b_flex.signals import load_campaign
 
 FRICTION = ((1.0, 0.6), (1.5, 0.8))  # N m dry, N m s/rad viscous
 LOWER = (
@@ -84,3 +90,51 @@ def test_a_payload_on_right_links_keeps_its_name_beside_the_other_explanation(tm
 def test_right_links_are_not_doubted(tmp_path: Path) -> None:
     result = rf.close_loop(campaign(tmp_path, "right", 1))
     assert list(result.effects) == [] and not any("declared as known" in c for c in result.cautions)
+
+
+def carried(folder: Path, mass: float, centre: tuple[float, float, float], stated: float = 0.0) -> Path:
+    """A UR5 of known links with a mass at its tip, of which so much is stated."""
+    arm, rng, noise = ind.ur5(), np.random.default_rng(2), 0.03 * np.array([1.0, 20.0, 5.0, 1.0, 1.0, 1.0])
+    runs = []
+    for role in ("identification", "identification", "validation"):
+        m = ind.harmonics(rng, 6, period_s=15.0)
+        torques = [ind.friction(20.0 * noise, 15.0 * noise), ind.carrying(arm, "ee_link", mass, centre)]
+        runs.append(ind.run(arm, role, m, torques, ind.white(rng, len(m.time), noise)))
+    kinds = ("coulomb_friction", "viscous_friction", "drive_inertia", "torque_offset")
+    tables = [{"type": k, "joint": j} for j in arm.joints for k in kinds]
+    path = ind.write_files(folder, arm, tables, runs, cutoff_hz=15.0, known=True)
+    robot = folder / "robot_declared.toml"
+    robot.write_text(f'tip_frame = "ee_link"\n{robot.read_text()}')
+    if stated:
+        head, *recordings = path.read_text().split("[[recording]]")
+        payload = f"payload = {{ mass = {stated}, centre = {list(centre)} }}\n"
+        path.write_text("[[recording]]".join([head, *(r + payload for r in recordings)]))
+    return path
+
+
+@pytest.mark.parametrize("centre", [(0.0, 0.0, 0.0), (0.05, 0.0, 0.0), (0.02, -0.03, 0.25)])
+def test_a_search_for_a_payload_begins_about_where_it_is(tmp_path: Path, centre: tuple[float, float, float]) -> None:
+    """A look at some places around the tip alone sees none of them explain what the last joints feel."""
+    loaded = load_campaign(carried(tmp_path, 1.0, centre))
+    regression = Regression.of(rf.load_robot(loaded.robot_source), loaded.identification, loaded.cutoff_hz)
+    robot = regression.robot
+    model = identify(regression, robot.effects, fit_links=False, with_covariance=False)
+    search = Search(model, Sites(robot.joints, robot.tip_frame), lambda kind: kind is Payload)
+    ((_, rough),), _ = search._first_looks([0])
+    assert np.abs(rough.effect.shape - centre).max() < 0.01
+    assert rough.gain > 0.5 * search.present.squares.sum()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("centre", [(0.0, 0.0, 0.0), (0.05, 0.0, 0.0)])
+@pytest.mark.parametrize("stated", [0.0, 2.0])
+def test_a_payload_and_what_a_stated_one_lacks_is_a_payload_and_no_gain_of_all_motors(
+    tmp_path: Path, centre: tuple[float, float, float], stated: float
+) -> None:
+    result = rf.close_loop(carried(tmp_path, stated + 1.0, centre, stated))
+    assert [e.type for e in result.effects] == ["payload"] and result.verdict == "explained"
+    mass, *place = result.effects[0].parameters
+    assert mass.value is not None and mass.std is not None and abs(mass.value - 1.0) < 4.0 * mass.std
+    assert mass.std < 0.01
+    for found, true in zip(place, centre, strict=True):
+        assert found.value is not None and abs(found.value - true) < 0.002

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import gc
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -46,6 +46,7 @@ from rx90b_flex.diagnose.torque import (
     find_added,
     predict,
 )
+from rx90b_flex.diagnose.torque_units import Torques, sensor_words
 from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.diagnose.verdict import Remains
 from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
@@ -57,8 +58,7 @@ from rx90b_flex.files.toml import named_in
 from rx90b_flex.identify.least_squares import Estimate, Identification, identify
 from rx90b_flex.identify.regression import Regression
 from rx90b_flex.identify.shapes import USUAL
-from rx90b_flex.identify.torque_scale import of_open_size, resolved
-from rx90b_flex.identify.torque_sensors import calibrated
+from rx90b_flex.identify.torque_scale import of_model, of_open_size, told_otherwise
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals import Campaign, Recording, load_campaign
 
@@ -67,8 +67,8 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 RIGID_BAND = 1 / 3  # of the first frequency with drives held, up to which a rigid model with more inertia does as well
-FEWEST_BLOCKS = 4  # to hold out in turn; with less, the spread of a gain between them says nothing
 LINKS_OFF = 0.8  # of the error held out that is left where links are fitted: what they take is no effect's
+TOLD_AGAIN = 2  # loops after the first, each by torque constants that the effects found before tell, at the most
 RIVALS = 5  # refused trials of a round that a result keeps
 
 
@@ -436,49 +436,83 @@ def _closed(
     tell("reading", 0.0)
     with named_in(campaign.path, "joints"):
         declared.restricted(campaign.joints)
-    campaign, constants = resolved(campaign, declared)
-    campaign, scaled = calibrated(campaign)
-    data = TorqueData.of(declared, campaign)
-    if len(data.regression.blocks()) < FEWEST_BLOCKS:
-        seconds = sum(r.duration_s for r in campaign.identification)
-        raise ValueError(
-            f"{campaign.path}: the recordings with role 'identification' last {seconds:.3g} s in all; "
-            f"{FEWEST_BLOCKS} s or more are needed, for parts of them are held out"
-        )
+    torques = Torques.of(campaign, declared)
+    data = torques.data(declared)
     tell("looking at the data", 0.02)
-    checked = check(of_open_size(campaign, constants), robot=declared)
+    checked = check(of_open_size(torques.campaign, torques.constants), robot=declared)
     if not (checked.usable or despite_faults):
-        return RefusedLoop(checked, declared, campaign)
+        return RefusedLoop(checked, declared, torques.campaign)
     tell("identifying the declared model", 0.05)
-    sites = sites_of(declared, campaign.joints)
-    gains = frozenset(j for f in checked.data_faults if f.kind == "torque_gain" and f.usable for j in f.joints)
-    fitted = declared.inertial_parameters == "fitted"
-    residual = TorqueResidual(data, campaign, sites, fitted, gains, worth_while(jobs, data.regression.torque.size))
-    loop = ClosingLoop(residual, tell, MOST_EFFECTS + MOST_A_JOINT * len(sites.joints))
-    ended = _Ended(declared, residual, loop.run(), loop.declared)
+    ended = _looped(declared, data, torques, checked, frozenset(), jobs, tell)
+    open_scale = of_model(torques.constants)
+    for _ in range(TOLD_AGAIN if open_scale else 0):
+        again = Torques.of(campaign, ended.robot_but_gains(open_scale))
+        if not (ended.gains(open_scale) or told_otherwise(torques.constants, again.constants)):
+            break
+        tell("once more, by the torque constants that what was found tells", 0.1)
+        torques = again
+        del data, ended  # a long log has no room for two
+        data = torques.data(declared)
+        ended = _looped(declared, data, torques, checked, open_scale, jobs, tell)
     return ended.result(
         seed,
         checked,
         (
-            *(c.message for c in constants if c.source != "stated"),
-            *scaled,
+            *(c.message for c in torques.constants if c.source != "stated"),
+            *torques.calibrated,
             # of hinges without a value `_cautions` tells more
             *stiff_for_want_of_values(e for e in declared.effects if "bend_1" not in e.traits.virtual),
-            *loop.stopped(ended.standing),
+            *ended.stopped,
             *filter(None, [checked.torque_side.message]),
         ),
         tell,
     )
 
 
+def _looped(
+    declared: Robot,
+    data: TorqueData,
+    torques: Torques,
+    checked: Checked,
+    open_scale: frozenset[str],
+    jobs: int | None,
+    tell: Progress,
+) -> _Ended:
+    """The loop, in which torques of an open scale have no gain."""
+    sites = dataclasses.replace(sites_of(declared, torques.campaign.joints), open_scale=open_scale)
+    gains = frozenset(j for f in checked.data_faults if f.kind == "torque_gain" and f.usable for j in f.joints)
+    residual = TorqueResidual(
+        data,
+        torques.campaign,
+        sites,
+        declared.inertial_parameters == "fitted",
+        gains - open_scale,
+        worth_while(jobs, data.regression.torque.size),
+    )
+    loop = ClosingLoop(residual, tell, MOST_EFFECTS + MOST_A_JOINT * len(sites.joints))
+    standing = loop.run()
+    return _Ended(declared, residual, standing, loop.declared, loop.stopped(standing))
+
+
 @dataclass(frozen=True, eq=False)
 class _Ended:
-    """The loop's end: the declared robot, its data, where the loop stands, and the declared model."""
+    """The loop's end: the declared robot, its data, where the loop stands, the declared model, and what is said of a limit."""
 
     source: Robot
     residual: TorqueResidual
     standing: Standing[TorqueModel, TorqueTrial]
     declared: TorqueModel
+    stopped: tuple[str, ...]
+
+    def gains(self, joints: Collection[str]) -> list[Effect]:
+        """Gains of some joints' torques that were added."""
+        added = find_added(self.standing.model, self.standing.steps)
+        return [e for e in added if e.traits.multiplies and set(e.joints) <= set(joints)]
+
+    def robot_but_gains(self, joints: Collection[str]) -> Robot:
+        """The rigid robot, with all that was found but these."""
+        gains, model = self.gains(joints), self.standing.model.identified
+        return model.regression.robot.with_effects(e for e in model.effects if e not in gains)
 
     def result(self, seed: int, checked: Checked, constants: tuple[str, ...], tell: Progress) -> ClosedLoop:
         """With what remains, and how much could be explained at all."""
@@ -499,8 +533,7 @@ class _Ended:
         links_off, in_doubt = self._if_links_are_off(after.told.validation.relative_error)
         tell("asking how much can be explained at all", 0.97)
         explainable = self._explainable(held_out, predictions, floor)
-        known = explainable if isinstance(explainable, Explainable) else None
-        beyond = self._beyond_model()
+        known, beyond = explainable if isinstance(explainable, Explainable) else None, self._beyond_model()
         doubtful = bool(cautions) or in_doubt or (floor is None and bool(beyond))
         happened = _events(campaign.joints, predictions, model.effects)
         drifts, odd = _slow(campaign, predictions), [e for e in happened if not e.held_by]
@@ -585,7 +618,7 @@ class _Ended:
     def _said(self, predictions: Sequence[Prediction]) -> tuple[str, ...]:
         """What signals and recordings ask to be said."""
         declared, model = self.declared.identified, self.standing.model.identified
-        words = _sensor_words(declared, model), _held_words(model), self._beyond_fitted(), _before_moves(predictions)
+        words = sensor_words(declared, model), _held_words(model), self._beyond_fitted(), _before_moves(predictions)
         return *(text for each in words for text in each), *self._unlike(predictions)
 
     def _unlike(self, predictions: Sequence[Prediction]) -> tuple[str, ...]:
@@ -745,26 +778,6 @@ def _cautions(robot: Robot, campaign: Campaign) -> tuple[str, ...]:
         "declared damping and on how the log began, and may be given another name, such as a delay; a low-pass at "
         f"{RIGID_BAND * first:.2g} Hz, or frequency responses, would tell.",
     )
-
-
-def _sensor_words(declared: Identification, model: Identification) -> tuple[str, ...]:
-    """What torque sensors behind the gears, fitted beside the motors, leave before and after."""
-    first, sensors = len(model.regression.joints), model.regression.sensors
-    sizes = [
-        np.sqrt((x[:, first:] ** 2).mean(axis=0)) for x in (declared.residual, model.residual, model.regression.torque)
-    ]
-    words = [
-        f"The torque sensor of {joint} was fitted beside its motor: of {size:.3g} N m that vary in it the declared model leaves "
-        f"{before:.3g} N m, the final one {after:.3g} N m."
-        for joint, before, after, size in zip(sensors, *sizes, strict=True)
-    ]
-    words += [
-        f"{e.label} is what the motor's torque is over what the torque sensor of {e.joints[0]} and the links ask for: motor "
-        "constant and sensor disagree, and the log does not say which of them is off."
-        for e in model.effects
-        if e.traits.multiplies and e.joints[0] in sensors
-    ]
-    return tuple(words)
 
 
 def _held_words(model: Identification) -> tuple[str, ...]:

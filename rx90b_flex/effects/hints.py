@@ -31,12 +31,15 @@ class Sites:
         On which it is tried, a recording each, where they are known: they suggest the geometry that a curve needs.
     sliding : tuple of str
         Those joints that slide and do not turn.
+    open_scale : frozenset of str
+        Those whose torques are currents times constants that a model told: another gain of such a torque is that constant.
     """
 
     joints: tuple[str, ...]
     tip_frame: str
     motions: tuple[Motion, ...] = ()
     sliding: tuple[str, ...] = ()
+    open_scale: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, eq=False)

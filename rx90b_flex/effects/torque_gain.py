@@ -9,7 +9,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from rx90b_flex.effects.effect import JointEffect
+from rx90b_flex.effects.effect import Effect, JointEffect
+from rx90b_flex.effects.hints import Sites
 from rx90b_flex.effects.log_effect import LogEffect
 from rx90b_flex.effects.motion import Array, JointMotion, Motion
 from rx90b_flex.effects.parameters import Parameter, derived
@@ -56,6 +57,10 @@ class TorqueGain(LogEffect, JointEffect, needs_model=True, multiplies=True):
 
     def basis(self, at: JointMotion) -> Array:
         return at.motion.model_torque[:, int(np.flatnonzero(at.port)[0])][:, None]
+
+    @classmethod
+    def everywhere(cls, sites: Sites) -> Sequence[Effect]:
+        return [cls(joint=j) for j in sites.joints if j not in sites.open_scale]
 
     def _gains(self, joints: Sequence[str]) -> Array:
         (excess,) = self.known_coefficients()

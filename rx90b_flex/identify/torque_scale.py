@@ -24,6 +24,7 @@ TOLD = 0.5  # standard deviation of a constant, part of it, up to which it is to
 ACROSS = 1e-3  # part of a direction that the data do not determine, up to which a ratio of constants is across it
 ROUNDS = 4  # fits of shapes to torques by the constants that the fit before told
 SETTLED = 0.1  # of its standard deviation, by which no constant changes in the last of them
+OTHERWISE = 0.5  # of its standard deviation, by which another model's constant is another one
 FAR = 100.0  # times the median of a first guess: constants of one robot are not that far apart
 
 
@@ -92,6 +93,22 @@ def resolved(campaign: Campaign, robot: Robot) -> tuple[Campaign, tuple[TorqueCo
         scaled(known, {j: scales[j] for j in missing}), torque_constants=tuple(scales[j] for j in campaign.joints)
     )
     return done, tuple(found[j] for j in campaign.joints)
+
+
+def of_model(constants: Sequence[TorqueConstant]) -> frozenset[str]:
+    """Joints whose constants are neither stated nor told by a torque sensor: as good as the model that told them."""
+    return frozenset(c.joint for c in constants if c.source in ("model", "not determined"))
+
+
+def told_otherwise(constants: Sequence[TorqueConstant], other: Sequence[TorqueConstant]) -> bool:
+    """Whether another model tells constants, or ratios of such as are not determined, that are not those by which torques went."""
+    for before, now in zip(constants, other, strict=True):
+        for old, new, std in ((before.value, now.value, now.std), (before.ratio, now.ratio, now.ratio_std)):
+            if (old is None) is not (new is None):
+                return True
+            if old is not None and new is not None and abs(new - old) > OTHERWISE * (std or 0.0):
+                return True
+    return False
 
 
 def of_open_size(campaign: Campaign, constants: Sequence[TorqueConstant]) -> Campaign:
