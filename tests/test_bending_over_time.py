@@ -55,7 +55,8 @@ def without(robot: rf.Robot, kind: type) -> rf.Robot:
     return robot.with_effects([e for e in robot.effects if not isinstance(e, kind)])
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
 def test_bending_as_declared_leaves_hardly_any_of_what_is_left_without(robot: rf.Robot, seed: int) -> None:
     log = simulated(robot, seed, Noise(torque=0.0, position=0.0))
     with_, none = left(robot, log).std(axis=0), left(without(robot, JointFlexibility), log).std(axis=0)

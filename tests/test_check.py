@@ -259,7 +259,8 @@ def test_a_torque_that_is_zero_in_motion_is_said_not_to_be_measured(
     assert result.torque_side.message == ""  # no size of a torque that is none
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_wrong_axis_is_told_though_a_third_of_every_torque_is_noise(tmp_path: Path, seed: int) -> None:
     """A large gain at all times is no chance, whatever is left; and noise alone is no fault."""
     rng = np.random.default_rng(seed)
@@ -277,7 +278,8 @@ def test_a_wrong_axis_is_told_though_a_third_of_every_torque_is_noise(tmp_path: 
     assert (fault.kind, fault.joints) == ("kinematics", (JOINTS[LIFT],))
 
 
-@pytest.mark.parametrize("low", [(LIFT, ELBOW), pytest.param(range(6), marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("low", [(LIFT, ELBOW), range(6)])
 def test_torques_far_below_what_links_ask_for_are_said_whose_and_how_far(tmp_path: Path, low: Sequence[int]) -> None:
     """Amperes in the place of torques fit links that are lighter: no fault for certain, yet nothing to pass over."""
 
@@ -290,7 +292,8 @@ def test_torques_far_below_what_links_ask_for_are_said_whose_and_how_far(tmp_pat
     assert any((JOINTS[LIFT] in x and JOINTS[ELBOW] in x) or "gear_matrix" in x for x in said), said
 
 
-@pytest.mark.parametrize("joint", [ELBOW, pytest.param(WRIST_2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("joint", [ELBOW, WRIST_2])
 def test_a_reversed_torque_is_named_where_joints_move_one_after_another(tmp_path: Path, joint: int) -> None:
     rng, runs = np.random.default_rng(0), []
     for role in ROLES:

@@ -62,7 +62,7 @@ def lost(torque: np.ndarray) -> np.ndarray:
     return torque
 
 
-@pytest.mark.parametrize(("part", "noise"), [(0.01, 0.0), (0.03, 0.0), (0.02, 0.1)])
+@pytest.mark.parametrize(("part", "noise"), [(0.01, 0.0), pytest.param(0.03, 0.0, marks=pytest.mark.slow), (0.02, 0.1)])
 def test_a_torque_in_coarse_steps_is_neither_lost_nor_cut_off(tmp_path: Path, part: float, noise: float) -> None:
     arm = ind.two_joints(tmp_path)
     assert checked(tmp_path, arm, with_torques(recorded(arm, noise), in_steps(part))).data_faults == ()
@@ -76,7 +76,7 @@ def test_a_coarse_torque_that_is_cut_off_is_named(tmp_path: Path, noise: float) 
     assert (fault.kind, fault.joints, fault.usable) == ("clipped", ("shoulder",), False)
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.1, 0.8])
+@pytest.mark.parametrize("noise", [0.1, *(pytest.param(x, marks=pytest.mark.slow) for x in (0.0, 0.8))])
 def test_lost_samples_of_a_coarse_torque_are_named(tmp_path: Path, noise: float) -> None:
     arm = ind.two_joints(tmp_path)
     runs = recorded(arm, noise)

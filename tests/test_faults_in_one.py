@@ -61,7 +61,7 @@ FAULTS: dict[str, tuple[int, Change, str, str, tuple[int, ...], float | None]] =
     "a zero far off": (0, lambda r: with_angles(r, plus(ELBOW, -1.2)), "kinematics", "motor_position", (ELBOW,), 1.2),
     "degrees": (1, lambda r: with_angles(r, np.degrees), "unit", "motor_position", tuple(range(6)), np.degrees(1.0)),
 }  # fmt: skip
-QUICK = ("torques", "zero", "degrees")
+QUICK = ("zero",)
 
 
 @pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in FAULTS])

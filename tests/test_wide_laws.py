@@ -103,7 +103,8 @@ def test_with_the_load_they_come_together_with_the_square_of_the_step(kind, monk
     assert between[1] < between[0] / 8.0
 
 
-@pytest.mark.parametrize("kind", [pytest.param("many", marks=pytest.mark.slow), "transmission_error"])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["many", "transmission_error"])
 def test_lanes_and_chunks_leave_each_other_alone(kind, monkeypatch):
     phases = tuple(0.1 * np.arange(10))  # a full vector and a part of one
     together = runs(robot_of(kind), monkeypatch, by_parts=False, phases=phases)

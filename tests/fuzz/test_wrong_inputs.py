@@ -112,7 +112,7 @@ def judged(case: Case, inputs: Path) -> None:
         shutil.rmtree(home)
 
 
-PARTS = [pytest.param(0, 60, CALLS, id="60")] + [
+PARTS = [pytest.param(0, 40, CALLS, id="40")] + [
     pytest.param(part, 500, (*CALLS * 4, *SLOW_CALLS), id=f"2000, part {part}", marks=pytest.mark.slow)
     for part in (1, 2, 3, 4)
 ]
