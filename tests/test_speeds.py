@@ -49,7 +49,6 @@ def test_another_unit_or_sign_is_named_with_its_joints(factors, kind, joints):
 
 
 def test_exchanged_columns_are_named():
-    assert found(recording().velocity[:, [1, 0, 2]]) == [
-        ("swapped_columns", ("a", "b")),
-        ("swapped_columns", ("b", "a")),
-    ]
+    v = recording().velocity
+    assert found(v[:, [1, 0, 2]]) == [("swapped_columns", ("a", "b"))]
+    assert [joints for _, joints in found(v[:, [1, 2, 0]])] == [("a", "b"), ("b", "c"), ("c", "a")]

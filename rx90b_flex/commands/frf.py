@@ -124,7 +124,8 @@ def _say(result: MotorIdentification) -> None:
         how = "as measured" if result.replayed is None else "less the distortion that a replay explains"
         rows = []
         for e in best.estimates:
-            _, value, low, high = amounts(e.std, e.value, e.low, e.high)
+            # without the page's thin spaces, for whoever copies a number
+            value, low, high = (x.replace("\u2009", "") for x in amounts(e.std, e.value, e.low, e.high)[1:])
             told = (value, f"{low} to {high}") if e.determined else ("not determined", "")
             rows.append((e.name, *told, e.unit))
         head = ("parameter", "value", "95 % interval", "unit")

@@ -18,9 +18,8 @@ from rx90b_flex.identify.regression import Regression
 LEAST = 0.015  # of the model's friction: what a change of a degree or two makes is not worth a word
 SURE = 5.0  # standard deviations
 TAKEN = 0.25  # of the squared error of the joint in the recording, at the least
-ALIKE = (
-    0.3  # the change at low speeds over that at high ones, or the other way: a law that is wrong differs between them
-)
+# the change at low speeds over that at high ones, or the other way: a law that is wrong differs between them
+ALIKE = 0.3
 BLOCK_S, FEWEST_BLOCKS = 2.0, 8  # over which standard deviations are taken, as errors within one go together
 
 
@@ -103,7 +102,7 @@ def _rubs(effect: Effect) -> bool:
     """Whether it is a friction of one joint, by its motion."""
     traits = effect.traits
     by_motion = traits.in_dynamics and traits.repeats_with_motion and "level" not in traits.straight
-    return effect.known and traits.part == "friction" and traits.on == "joint" and by_motion
+    return effect.known and traits.is_friction and traits.on == "joint" and by_motion
 
 
 def _change(friction: Array, left: Array, speed: Array, blocks: int) -> tuple[float, float, float, float]:

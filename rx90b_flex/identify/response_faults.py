@@ -13,10 +13,8 @@ LOW_HZ, FEWEST = 30.0, 8  # up to where responses are looked at, and so many lin
 LATE = 0.1  # of the period of the highest of these lines: so much later or sooner torques may be logged
 SURE = 2.0  # standard deviations
 MANY, NEXT_TO_NONE = 0.3, 0.02  # of the lines
-LOWEST_HZ, TOO_LIGHT = (
-    4.0,
-    10.0,
-)  # below where arms resonate, and times a drive may move more than its links without drives would
+LOWEST_HZ = 4.0  # below where arms resonate
+TOO_LIGHT = 10.0  # times a drive may move more than its links without drives would
 
 
 def check_response(measured: FrequencyResponse, robot: Robot) -> None:

@@ -47,10 +47,10 @@ TEST_KEYS = (
 SHORTEST_LEVER = 1e-3  # m; below it a load does not turn the hinge
 LONGEST_LEVER = 20.0  # m; nobody's lever is longer
 LARGEST_TURN = 0.05  # rad; more than a drive or bearing yields under a load that it bears
-LIKE_WEIGHTS = (
+NEWTONS, LIKE_WEIGHTS = (
     9.81,
     0.05,
-)  # m/s^2, and how near to one over it a stiffness may be to the declared one before its loads look like kg
+)  # a kg weighs, and how near to one over that a ratio of stiffnesses looks like loads in kg
 OFF_DECLARED = 20.0  # times a stiffness may be off the declared one without a word
 
 
@@ -214,7 +214,7 @@ def _cautions(
                 "that is meant, look at the units: deformation_rad in rad (degrees are 57 times, mrad 1000 times larger), "
                 "load_n in N, lever_arm_m in m"
             )
-        elif hinge.determined and abs(ratio * LIKE_WEIGHTS[0] - 1.0) < LIKE_WEIGHTS[1]:
+        elif hinge.determined and abs(ratio * NEWTONS - 1.0) < LIKE_WEIGHTS:
             said.append(
                 f"{hinge.coordinate}: {hinge.value:.4g} N m/rad is {1.0 / ratio:.3g} times below the declared "
                 f"{declared[hinge.coordinate]:.4g}: look whether load_n is in kg; N are expected"

@@ -33,7 +33,7 @@ def speeds(recordings: Sequence[Recording], known: Sequence[DataFault] = ()) -> 
         if abs(likeness[j, j]) > ALIKE:
             if abs(factor - 1.0) > OFF:
                 scaled.setdefault(_what(factor), {})[joint] = factor
-        elif len(like) == 1:
+        elif len(like) == 1 and not (like[0] < j and abs(likeness[like[0], j]) > ALIKE):  # of a pair once
             message = f"The velocity of {joint} is the rate of {joints[like[0]]}'s position: exchange their columns in {CURE}."
             yield DataFault("swapped_columns", SIGNAL, (joint, joints[like[0]]), message, usable=True)
     for what, of in scaled.items():

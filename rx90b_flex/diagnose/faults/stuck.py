@@ -22,10 +22,8 @@ NOTHING = 0.6  # of the samples in which a joint moves: a torque that is zero in
 JUMP = 8.0  # times the usual step at the end of such a segment, and times the usual length of a torque's
 USUAL_RUN = 0.9  # of the stretches in which a torque keeps a value are shorter: with a coarse torque there are many
 MOST = 0.8  # of a torque's stretch in which the joint moves
-CHANGES, TURNS = (
-    0.5,
-    0.5,
-)  # of the steps in motion that change a torque with noise, and of these that go back: two thirds are usual
+CHANGES = 0.5  # of the steps in motion: so many change a torque with noise,
+TURNS = 0.5  # and of these go back: two thirds are usual
 LONGEST = 20  # such stretches of a column that are looked at
 SWINGS = 0.2  # of the same torque's standard deviation in other recordings: more than noise
 
