@@ -323,7 +323,7 @@ class JointFit:
     Attributes
     ----------
     stiffness, stiffness_std : array, shape (3,)
-        Torsion and the two bendings, N m/rad.
+        Torsion and the two bendings, N m/rad; standard deviations, as those of the frame, widened by the root of `loudness`.
     before, behind : array, shape (3,), rad
         The estimated errors of the joint's frame, as in `mismatched`.
     before_std, behind_std : array, shape (3,), rad
@@ -349,9 +349,7 @@ class JointFit:
     @property
     def loudness(self) -> float:
         """Chi-squared a degree of freedom where that is more than chance makes of the stated noise, otherwise 1."""
-        freedom = max(self.degrees_of_freedom, 1)
-        ratio = self.chi2 / freedom
-        return ratio if ratio > max(LOUD, float(chdtri(freedom, BY_CHANCE)) / freedom) else 1.0
+        return _loudness(self.chi2, self.degrees_of_freedom)
 
 
 FRAME_PRIOR = 1e-3  # rad; about what a base calibration reaches with a rigid model of a robot that sags
@@ -406,9 +404,12 @@ def fit_joint(
     whiten = _whitening(turn)
     size = _sizes_of_unknowns(largest, same_bending)
     found, root = _settled_joint(turn.rotation, angle, moment, whiten, size, frame_prior)
-    std = np.sqrt((root**2).sum(axis=1))
     before, behind, compliance = np.split(found, [3, _FRAME])
     residual, _ = _misfit(found, turn.rotation, angle, moment)
+    chi2, freedom = float((whiten(residual[..., None]) ** 2).sum()), residual.size - size.shape[1]
+    # what is left above the stated noise is an error of the model, too; the frame is known beforehand, whatever is left
+    std = np.sqrt(_loudness(chi2, freedom) * (root**2).sum(axis=1))
+    std[:_FRAME] = np.minimum(std[:_FRAME], frame_prior)
     deformation = hinge_angles(mismatched(turn.rotation, -before, -behind))
     deformation[:, 0] = np.angle(np.exp(1j * (deformation[:, 0] - angle)))
     return JointFit(
@@ -419,10 +420,16 @@ def fit_joint(
         before_std=std[:3],
         behind_std=std[3:_FRAME],
         deformation=deformation,
-        chi2=float((whiten(residual[..., None]) ** 2).sum()),
-        degrees_of_freedom=residual.size - size.shape[1],
+        chi2=chi2,
+        degrees_of_freedom=freedom,
         row_chi2=np.einsum("ni,nij,nj->n", residual, np.linalg.inv(turn.covariance), residual),
     )
+
+
+def _loudness(chi2: float, degrees_of_freedom: int) -> float:
+    freedom = max(degrees_of_freedom, 1)
+    ratio = chi2 / freedom
+    return ratio if ratio > max(LOUD, float(chdtri(freedom, BY_CHANCE)) / freedom) else 1.0
 
 
 def _whitening(turn: JointTurn) -> Callable[[Array], Array]:

@@ -217,11 +217,9 @@ def _fitted(source: MarkerRecording, loose: list[str]) -> CameraResult:
     drive = source.angles[:, robot.joints.index(joint)]
     # the turn is since the reference pose, the drive's angle since its own zero: the frames carry the pose between them
     fit = fit_joint(turn, drive, moment, same_bending=source.same_bending, frame_prior=prior)
-    # what is left above the stated noise is an error of the model, too
-    std = np.sqrt(fit.loudness) * fit.stiffness_std
     hinges = tuple(
         HingeStiffness(f"{joint}:{kind}", float(k), float(s))
-        for kind, k, s in zip(KINDS, fit.stiffness, std, strict=True)
+        for kind, k, s in zip(KINDS, fit.stiffness, fit.stiffness_std, strict=True)
     )
     found = with_stiffnesses(robot, {h.coordinate: h.value for h in hinges if h.determined})
     return CameraResult(source, fit, moment, base, hinges, found, _cautions(source, fit, loose))
