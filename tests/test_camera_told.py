@@ -15,6 +15,7 @@ import rx90b_flex as rf
 from rx90b_flex.identify.camera_command import CameraResult, fit_markers, read_markers
 from rx90b_flex.identify.camera_faults import outliers
 from rx90b_flex.identify.measured_stiffness import REACH, HingeStiffness
+from rx90b_flex.view.camera_report import headline
 
 
 def hinges(stiffness: np.ndarray, share: np.ndarray, seed: int) -> list[HingeStiffness]:
@@ -88,6 +89,10 @@ def other_sign(table: pd.DataFrame) -> pd.DataFrame:
     return table.assign(q_joint_1=-table["q_joint_1"])
 
 
+def one_in_degrees(table: pd.DataFrame) -> pd.DataFrame:
+    return table.assign(q_joint_3=np.degrees(table["q_joint_3"]))
+
+
 def exchanged(table: pd.DataFrame) -> pd.DataFrame:
     other = {"before": "behind", "behind": "before"}
     return table.rename(columns={name: other[name[:6]] + name[6:] for name in places(table)})
@@ -104,6 +109,7 @@ def left_handed(table: pd.DataFrame) -> pd.DataFrame:
         (without_unit, "before_1_x_mm"),
         (in_metres, "columns ..._mm are in mm"),
         (other_sign, "column q_joint_1 has the other sign"),
+        (one_in_degrees, "what explains it: column q_joint_3 is in degrees (rad is expected)"),
         (exchanged, "the columns before_... and behind_... are exchanged"),
         (left_handed, "left-handed"),
     ],
@@ -138,6 +144,21 @@ def test_an_angle_that_is_off_in_one_row_is_named(poses: tuple[Path, pd.DataFram
     wrong.loc[6, "q_joint_3"] += 0.02
     (line,) = told(folder, wrong).cautions
     assert line.startswith("row 7: the turn of joint_3")
+
+
+def test_noise_that_is_stated_too_small_widens_what_follows_from_it(poses: tuple[Path, pd.DataFrame]) -> None:
+    folder, table = poses
+    sound, file = told(folder, table), folder / "camera.toml"
+    stated = file.read_text()
+    (noise,) = [line for line in stated.splitlines() if line.startswith("std_mm")]
+    try:
+        file.write_text(stated.replace(noise, f"std_mm = {[float(x) / 5.0 for x in STD_MM]}"))
+        small = told(folder, table)
+    finally:
+        file.write_text(stated)
+    assert sound.fit.loudness == 1.0 and small.fit.loudness == pytest.approx(25.0, rel=0.4)
+    np.testing.assert_allclose(small.fit.stiffness_std, sound.fit.stiffness_std, rtol=0.4)
+    assert "widened" in headline(small)[-1] and not any("widened" in line for line in headline(sound))
 
 
 def test_stated_noise_seldom_gives_an_outlier() -> None:

@@ -167,6 +167,8 @@ def test_slides_called_x_y_and_z_leave_the_tip_its_columns(tmp_path: Path) -> No
     seam = Seam("cut", np.array([[0.3, 0.2, 0.1], [0.4, 0.2, 0.1]]), speed=0.1)
     result = check_path(seam, machine, controller_of(machine, None), PathOptions(contributions=False))
     write_check(result, tmp_path / "out")
+    # references in the log are the planned ones, and the file says so
+    assert "../corrected_joints.csv" in (tmp_path / "out" / "corrected" / "campaign.toml").read_text()
     table = pd.read_csv(tmp_path / "out" / "corrected_path.csv")
     np.testing.assert_allclose(table[["x", "y", "z"]].iloc[[0, -1]], seam.points, atol=2e-4)
     np.testing.assert_allclose(table[["joint_x", "joint_y", "joint_z"]], table[["x", "y", "z"]], atol=1e-9)

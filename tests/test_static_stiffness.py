@@ -375,6 +375,7 @@ def test_sound_readings_seldom_hold_one_that_stands_out(seed: int) -> None:
         (1.0, 1.0, None),
         (1.0, 985.0, "a.toml: [[test]] 1 lever_arm_m: 985 is taken as m; a lever of 985 mm is 0.985 there"),
         (57.3, 1.0, "57.3 times below the declared"),
+        (9.81, 1.0, "look whether load_n is in kg"),
         (57.3, 1.0, "column 'deformation_rad' spans"),
         (1e-3, 1.0, "times above the declared"),
     ],
