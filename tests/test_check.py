@@ -627,3 +627,22 @@ def test_torques_at_other_times_are_those_of_their_columns_rows_and_logs():
     assert inside.all()
     np.testing.assert_array_equal(torque[:, [2, 0, 1]] * reading.torque_scale, expected[:, 1].T)
     assert not sample.torque_of(reading.later(np.tile([True, False, False], (2, 1)), 9.0))[1].any()
+
+
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+def test_limits_of_the_urdf_that_are_narrower_than_the_robot_s_are_told_from_degrees(tmp_path: Path, seed: int) -> None:
+    arm, rng, runs = ind.panda(), np.random.default_rng(seed), []
+    n = len(arm.joints)
+    for role in ROLES:
+        m = ind.harmonics(rng, n, period_s=20.0, rate_hz=RATE_HZ, lines=4, speed=1.2)
+        load = arm.torque(m).std(axis=0)
+        rubs = ind.friction(tuple(0.2 * load + 0.1), tuple(0.2 * load + 0.1))
+        runs.append(ind.run(arm, role, m, [rubs], ind.white(rng, len(m.time), tuple(0.02 * load + 0.01))))
+    declared = [{"type": t, "joint": j} for j in arm.joints for t in ("coulomb_friction", "viscous_friction")]
+    fourth = arm.joints[3]  # -3.07 to -0.07 rad in its URDF
+    (narrow,) = rf.check(ind.write_files(tmp_path, arm, declared, runs, cutoff_hz=10.0)).data_faults
+    assert narrow.usable and fourth in narrow.joints and "limits are narrower than the robot's" in narrow.message
+    in_degrees = with_angles(runs, scaled(3, 180.0 / np.pi))
+    checked = rf.check(ind.write_files(tmp_path, arm, declared, in_degrees, cutoff_hz=10.0))
+    assert not checked.usable
+    assert [(f.kind, f.joints) for f in checked.data_faults if not f.usable] == [("unit", (fourth,))]

@@ -107,3 +107,29 @@ def test_a_robot_that_is_warmer_in_one_recording_has_no_other_unit_and_no_other_
 ) -> None:
     checked = rf.check(campaign(tmp_path, seed, rubs=rubs))
     assert checked.usable and not checked.data_faults, checked.data_faults
+
+
+HIDDEN = (
+    ind.hidden("gear_ripple", 2, {"order": 18.0, "amplitude": 3.0, "phase": 0.7}),
+    ind.hidden("joint_coupling", (4, 5), {"inertia": 0.1, "viscous": 0.8, "coulomb": 0.6}),
+    ind.hidden("stribeck_friction", 0, {"torque": 10.0, "velocity": 0.15, "power": 1.2}),
+    ind.hidden("load_friction", 1, {"coefficient": 0.08}),
+)
+
+
+@pytest.mark.parametrize("seed", [25, *(pytest.param(s, marks=pytest.mark.slow) for s in (13, 35, 301, 302, 303, 304))])
+def test_effects_beside_a_friction_that_warms_are_no_fault_of_the_data(tmp_path: Path, seed: int) -> None:
+    """A zero 73 degrees off, an angle in degrees and a torque of another unit took up what the recordings differ by."""
+    warmth = np.random.default_rng(900 + seed)
+    dry = warmth.uniform(0.75, 1.3, 3)
+    rng, runs = np.random.default_rng(seed), []
+    viscous = dry * warmth.uniform(0.9, 1.1, 3)
+    if seed == 13:
+        dry = viscous = np.array([1.0, 0.85, 1.1])
+    for r, role in enumerate(("identification", "identification", "validation")):
+        m = ind.harmonics(rng, 6, period_s=10.0, rate_hz=500.0, lines=8)
+        rubs = ind.friction(tuple(dry[r] * np.array(COULOMB)), tuple(viscous[r] * np.array(VISCOUS)))
+        runs.append(ind.run(ARM, role, m, [rubs, *HIDDEN], ind.white(rng, len(m.time), NOISE)))
+    declared = [{"type": t, "joint": j} for j in ARM.joints for t in ("coulomb_friction", "viscous_friction")]
+    checked = rf.check(ind.write_files(tmp_path, ARM, declared, runs, cutoff_hz=25.0))
+    assert checked.usable and not checked.data_faults, checked.data_faults

@@ -13,6 +13,7 @@ Kind = Literal["angle", "length", "angle rate", "length rate", "torque", "force"
 DEGREE = np.pi / 180.0
 _POUND = 4.4482216152605  # N
 _INCH = 0.0254  # m
+_KILOPOND = 9.80665  # N, which a kilogram weighs
 # fmt: off
 TIME_UNITS = {"s": 1.0, "sec": 1.0, "secs": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6,
               "ns": 1e-9, "nsec": 1e-9}
@@ -20,7 +21,8 @@ _ANGLES = {"rad": 1.0, "rads": 1.0, "deg": DEGREE, "degs": DEGREE, "degree": DEG
            "mrad": 1e-3, "urad": 1e-6, "mdeg": 1e-3 * DEGREE, "gon": np.pi / 200.0, "rev": 2 * np.pi, "revs": 2 * np.pi,
            "turn": 2 * np.pi, "turns": 2 * np.pi}
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": _INCH, "inch": _INCH, "inches": _INCH}
-_TORQUES = {"nm": 1.0, "cnm": 1e-2, "ncm": 1e-2, "mnm": 1e-3, "nmm": 1e-3, "knm": 1e3,
+_TORQUES = {"nm": 1.0, "danm": 10.0, "cnm": 1e-2, "ncm": 1e-2, "mnm": 1e-3, "nmm": 1e-3, "knm": 1e3,
+            **dict.fromkeys(("kgfm", "kgm", "kpm"), _KILOPOND), **dict.fromkeys(("kgfcm", "kgcm", "kpcm"), 1e-2 * _KILOPOND),
             **dict.fromkeys(("lbfft", "ftlbf", "lbft", "ftlb"), 12.0 * _POUND * _INCH),
             **dict.fromkeys(("lbfin", "inlbf", "lbin", "inlb"), _POUND * _INCH),
             **dict.fromkeys(("ozfin", "inozf", "ozin", "inoz"), _POUND * _INCH / 16.0)}
@@ -37,7 +39,7 @@ _UNITS: dict[Kind, dict[str, float]] = {
     "time": TIME_UNITS,
     "count": dict.fromkeys(("counts", "count", "cnt", "inc", "incs", "increments", "ticks", "tick", "pulses", "lsb"), 1.0),
     "other": dict.fromkeys(("v", "mv", "w", "kw", "k", "c", "degc", "hz", "khz", "bar", "kg", "g", "%", "pct", "percent", "pu", "1/s",
-                            "danm", "kgfcm", "kgfm", "kgcm", "kgm", "mn", "nms",
+                            "mn", "nms",
                             *(f"{u}/s{again}" for u in (*_ANGLES, *_LENGTHS) for again in ("2", "/s"))), 1.0),
 }
 # words of names that are units without brackets, too
@@ -52,7 +54,7 @@ _EXPECTED: dict[Kind, str] = {
     "length": "m, mm, cm",
     "angle rate": "rad/s, deg/s, rpm",
     "length rate": "m/s, mm/s",
-    "torque": "Nm, cNm, Nmm, kNm, lbf.ft, lbf.in",
+    "torque": "Nm, daNm, cNm, Nmm, kNm, kgf.m, kgf.cm, lbf.ft, lbf.in",
     "force": "N, kN, lbf",
     "current": "A, mA",
 }

@@ -16,7 +16,8 @@ from rx90b_flex.diagnose.faults.kinematics import a_little_off, axes, lengths, m
 from rx90b_flex.diagnose.faults.look import Hypothesis, Look
 from rx90b_flex.diagnose.faults.rates import sample_rates
 from rx90b_flex.diagnose.faults.ratios import angle_scales, gear_ratios
-from rx90b_flex.diagnose.faults.rigid_fit import FLOOR, IMPOSSIBLE, RigidFit
+from rx90b_flex.diagnose.faults.rigid_fit import FLOOR, IMPOSSIBLE, NEAR, RigidFit
+from rx90b_flex.diagnose.faults.sample import Reading
 from rx90b_flex.diagnose.faults.shifts import shifted
 from rx90b_flex.diagnose.faults.signs import reversed_axes, reversed_positions, reversed_torques
 from rx90b_flex.diagnose.faults.swapped import swapped
@@ -153,6 +154,15 @@ class _Bases:
             _students_t(folds),
             not hypothesis.by_links,
         )
+
+    def sure(self, hypothesis: Hypothesis) -> float:
+        """What a hypothesis gains over the best fit without it: free links fit worse than the URDF's where these are nearly right."""
+        return self._best(self.look.reading) - self._best(hypothesis.reading) + hypothesis.evident
+
+    def _best(self, reading: Reading) -> float:
+        look, links = self.look, range(reading.links)
+        fits = look.fit(reading), look.fit_held(links, NEAR, reading), look.fit_of_known_links(reading)
+        return min(_errors(f) if look.with_effects else f.score for f in fits)
 
     def gaining(self, hypothesis: Hypothesis) -> Array:
         """Squared errors with a hypothesis of the joints whose error it brings down."""
@@ -299,12 +309,12 @@ def _accepted(bases: _Bases, gain: _Gain, rank: int, hypothesis: Hypothesis) -> 
     """Whether a hypothesis does so much better than no fault that chance and missing effects do not explain it."""
     if not _conceivable(bases, gain, hypothesis):
         return False
-    gaining = bases.gaining(hypothesis)
-    if gain.fitted >= MODEST and not (gaining > SMALL).any():
+    gaining, sure = bases.gaining(hypothesis), min(gain.fitted, bases.sure(hypothesis))
+    if sure >= MODEST and not (gaining > SMALL).any():
         return True
     # another tree may explain a little more of torques that neither explains
     fair = FAIR if gain.fitted >= LARGE and gain.steady >= STEADY else CREDIBLE
-    return gain.fitted >= GAIN and not (KINDS[rank] in ON_POSES and (gaining > fair).any())
+    return sure >= GAIN and not (KINDS[rank] in ON_POSES and (gaining > fair).any())
 
 
 def _accepted_by_links(bases: _Bases, gain: _Gain, rank: int, hypothesis: Hypothesis) -> bool:

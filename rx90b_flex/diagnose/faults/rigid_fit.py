@@ -15,6 +15,7 @@ from rx90b_flex.effects.motion import Array, Indices
 from rx90b_flex.identify.carried import carried_parameters
 
 RIDGE = 1e-6  # of a column's square: holds what the data do not tell near the URDF's values
+NEAR = 1.0  # the same where they may be a little off
 KNOWN = 1e2  # the same where the links are known
 OUT = 1e9  # the same of what is left out
 ROUNDS = 3  # fits with weights from the last one's errors

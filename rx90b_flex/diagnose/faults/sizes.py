@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 
-from rx90b_flex.diagnose.faults.compare import CREDIBLE
+from rx90b_flex.diagnose.faults.compare import CREDIBLE, GAIN_KNOWN
 from rx90b_flex.diagnose.faults.look import Look
 from rx90b_flex.diagnose.faults.units import outside
 from rx90b_flex.effects.motion import Array
@@ -24,9 +24,11 @@ def impossible_sizes(look: Look, named: Sequence[DataFault]) -> Iterator[DataFau
     joints = look.sample.joints
     known = {(f.signal, j) for f in named if f.kind in ("unit", "torque_gain", "unrelated") for j in f.joints}
     beyond = np.flatnonzero(outside(look, 1.0)).tolist()
-    degrees = [k for k in beyond if not look.prismatic[k] and not outside(look, 1.0 / DEGREES)[k]]
+    fitting = [k for k in beyond if not look.prismatic[k] and not outside(look, 1.0 / DEGREES)[k]]
+    narrow = _borne_out(look, fitting)
+    degrees = [k for k in fitting if k not in narrow]
     slides = [k for k in beyond if look.prismatic[k]]
-    other = [k for k in beyond if k not in (*degrees, *slides)]
+    other = [k for k in beyond if k not in (*fitting, *slides)]
     # what a position in another unit makes links ask for says nothing of a torque
     large, small = ([k for k in chosen if k not in beyond] for chosen in torque_sizes(look))
     scale = "another unit, amperes, or the motor's side of the gear?"
@@ -49,6 +51,25 @@ def impossible_sizes(look: Look, named: Sequence[DataFault]) -> Iterator[DataFau
         if names:
             text = f"The {signal.removeprefix('motor_')} of {', '.join(names)} {what}"
             yield DataFault("unit", signal, names, text, factor=factor)
+    if narrow:
+        names = tuple(joints[k] for k in narrow)
+        text = (
+            f"The position of {', '.join(names)} moves through more than the URDF's range, and the torques bear it out: the URDF's "
+            "limits are narrower than the robot's; widen them."
+        )
+        yield DataFault("kinematics", None, names, text, usable=True)
+
+
+def _borne_out(look: Look, beyond: Sequence[int]) -> list[int]:
+    """Joints of whose angles the URDF's links explain the torques far worse in degrees, with those that are not told, if there are
+    such: then its limits are not the robot's.
+    """
+    in_rad = look.fit_of_known_links()
+    if not beyond or np.median(in_rad.error) >= CREDIBLE:
+        return []
+    readings = [look.reading.changed("scale", [k], lambda x: x / DEGREES) for k in beyond]
+    lost = np.array([look.fit_of_known_links(r).score - in_rad.score for r in readings])
+    return [k for k, x in zip(beyond, lost, strict=True) if x > 0.0] if (lost > GAIN_KNOWN).any() else []
 
 
 def torque_sizes(look: Look) -> tuple[list[int], list[int]]:

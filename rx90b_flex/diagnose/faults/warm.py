@@ -12,6 +12,8 @@ from rx90b_flex.effects.motion import Array, Mask
 
 AS_WELL, WITH_OTHERS = 1.1, 2.5  # of the squared error with a torque scaled, up to which its friction explains as much
 MOSTLY = 0.5  # of a recording's squared error that another friction of its joints leaves: it is no other load
+# of a joint's change of friction, from which that of the others is alike: another unit changes one joint's alone
+AS_MUCH = 0.5
 
 
 class OfFriction(NamedTuple):
@@ -20,6 +22,7 @@ class OfFriction(NamedTuple):
     left_now: Array
     left_of_all: Array  # with the joint's torque times what fits that recording best
     left: Array  # with its friction alone so
+    changes: Array  # of that friction, over the others' less one
     spread: Array  # variance of each joint's torque, (joints,), N^2 m^2
 
     @property
@@ -29,8 +32,10 @@ class OfFriction(NamedTuple):
 
     def explains(self, recording: int, joint: int) -> bool:
         """Whether friction does as well as the whole torque; less well where that of most joints is another, too."""
-        alike = float((self.left < MOSTLY * self.left_now)[recording].mean())
-        room = AS_WELL if alike <= 0.5 else WITH_OTHERS
+        mostly = float((self.left < MOSTLY * self.left_now)[recording].mean()) > 0.5
+        own, others = self.changes[recording, joint], np.delete(self.changes[recording], joint)
+        alike = len(others) > 1 and np.median(others * own) > AS_MUCH * own**2
+        room = WITH_OTHERS if mostly or alike else AS_WELL
         return bool(self.left[recording, joint] < room * self.left_of_all[recording, joint])
 
 
@@ -40,16 +45,17 @@ def of_friction(look: Look) -> OfFriction:
     measured, predicted = look.measured(), look.predicted_by_others
     friction = rubs(look, look.theta_by_others)
 
-    def left(part: Array) -> Array:
-        out = []
+    def left(part: Array) -> tuple[Array, Array]:
+        out, factors = [], []
         for span in sample.spans:
             rest, some = (measured - predicted + part)[span], part[span]
-            factor = (some * rest).sum(axis=0) / np.maximum((some**2).sum(axis=0), 1e-300)
-            out.append(((rest - factor * some) ** 2).mean(axis=0))
-        return np.array(out)
+            factors.append((some * rest).sum(axis=0) / np.maximum((some**2).sum(axis=0), 1e-300))
+            out.append(((rest - factors[-1] * some) ** 2).mean(axis=0))
+        return np.array(out), np.array(factors)
 
     now = np.array([((measured - predicted)[span] ** 2).mean(axis=0) for span in sample.spans])
-    return OfFriction(now, left(predicted), left(friction), measured.var(axis=0) + 1e-300)
+    (of_all, _), (rest, factors) = left(predicted), left(friction)
+    return OfFriction(now, of_all, rest, factors - 1.0, measured.var(axis=0) + 1e-300)
 
 
 def rubs(look: Look, theta: Array) -> Array:
