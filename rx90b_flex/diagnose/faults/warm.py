@@ -11,9 +11,10 @@ from rx90b_flex.diagnose.faults.rigid_fit import FRICTION, PER_JOINT
 from rx90b_flex.effects.motion import Array, Mask
 
 AS_WELL, WITH_OTHERS = 1.1, 2.5  # of the squared error with a torque scaled, up to which its friction explains as much
+# times the others' friction, or over it, up to which another one is believed where it takes most of the error: friction often
+# changes so, and another unit of one joint's torque in one recording hardly ever
+WARMER = 1.6
 MOSTLY = 0.5  # of a recording's squared error that another friction of its joints leaves: it is no other load
-# of a joint's change of friction, from which that of the others is alike: another unit changes one joint's alone
-AS_MUCH = 0.5
 
 
 class OfFriction(NamedTuple):
@@ -22,7 +23,7 @@ class OfFriction(NamedTuple):
     left_now: Array
     left_of_all: Array  # with the joint's torque times what fits that recording best
     left: Array  # with its friction alone so
-    changes: Array  # of that friction, over the others' less one
+    times: Array  # that factor of its friction
     spread: Array  # variance of each joint's torque, (joints,), N^2 m^2
 
     @property
@@ -32,10 +33,10 @@ class OfFriction(NamedTuple):
 
     def explains(self, recording: int, joint: int) -> bool:
         """Whether friction does as well as the whole torque; less well where that of most joints is another, too."""
-        mostly = float((self.left < MOSTLY * self.left_now)[recording].mean()) > 0.5
-        own, others = self.changes[recording, joint], np.delete(self.changes[recording], joint)
-        alike = len(others) > 1 and np.median(others * own) > AS_MUCH * own**2
-        room = WITH_OTHERS if mostly or alike else AS_WELL
+        mostly = self.left[recording] < MOSTLY * self.left_now[recording]
+        if mostly[joint] and 1 / WARMER < self.times[recording, joint] < WARMER:
+            return True
+        room = AS_WELL if mostly.mean() <= 0.5 else WITH_OTHERS
         return bool(self.left[recording, joint] < room * self.left_of_all[recording, joint])
 
 
@@ -46,16 +47,15 @@ def of_friction(look: Look) -> OfFriction:
     friction = rubs(look, look.theta_by_others)
 
     def left(part: Array) -> tuple[Array, Array]:
-        out, factors = [], []
+        out, times = [], []
         for span in sample.spans:
             rest, some = (measured - predicted + part)[span], part[span]
-            factors.append((some * rest).sum(axis=0) / np.maximum((some**2).sum(axis=0), 1e-300))
-            out.append(((rest - factors[-1] * some) ** 2).mean(axis=0))
-        return np.array(out), np.array(factors)
+            times.append((some * rest).sum(axis=0) / np.maximum((some**2).sum(axis=0), 1e-300))
+            out.append(((rest - times[-1] * some) ** 2).mean(axis=0))
+        return np.array(out), np.array(times)
 
     now = np.array([((measured - predicted)[span] ** 2).mean(axis=0) for span in sample.spans])
-    (of_all, _), (rest, factors) = left(predicted), left(friction)
-    return OfFriction(now, of_all, rest, factors - 1.0, measured.var(axis=0) + 1e-300)
+    return OfFriction(now, left(predicted)[0], *left(friction), measured.var(axis=0) + 1e-300)
 
 
 def rubs(look: Look, theta: Array) -> Array:
