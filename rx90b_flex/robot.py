@@ -261,7 +261,7 @@ class Robot:
         """The same motion of the same tree with other link parameters and effects, as an identification finds them."""
         known = tuple(e for e in effects if e.traits.in_dynamics and e.known)
         tree = partial(_on_links, self, motion, link_parameters, known)
-        return dataclasses.replace(motion, tree=tree, effects=known)
+        return motion.seen_by(tree, known)
 
     def link_regressor(self, motion: Motion, columns: int = 0) -> Array:
         """Regressor of the links alone, shape (N, n, 10 * bodies), or of so many `columns`, those behind them zero."""

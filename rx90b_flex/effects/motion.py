@@ -260,6 +260,22 @@ class Motion:
         return self._kept[key]
 
     @cached_property
+    def _alone(self) -> dict[tuple[str, ...], tuple[NDArray[Any], ...]]:
+        return {}
+
+    def once_for_all(self, key: tuple[str, ...], make: Callable[[], tuple[NDArray[Any], ...]]) -> tuple[NDArray[Any], ...]:
+        """As `once`, of what every model sees alike."""
+        if key not in self._alone:
+            self._alone[key] = make()
+        return self._alone[key]
+
+    def seen_by(self, tree: Callable[[Motion], TreeMotion], effects: tuple[Force, ...]) -> Motion:
+        """The same motion with another model."""
+        other = replace(self, tree=tree, effects=effects)
+        other.__dict__["_alone"] = self._alone
+        return other
+
+    @cached_property
     def _latest(self) -> dict[tuple[str, str], dict[str, dict[float, Any]]]:
         return {}
 

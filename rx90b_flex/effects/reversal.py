@@ -90,7 +90,7 @@ class Resolution:
         key = ("resolution", *(str(i) for i in np.flatnonzero(at.port)))
         log = at.motion.logged or at.motion
         off = None if log.angle_noise is None else float(np.linalg.norm(at.port * log.angle_noise))
-        (values,) = log.once(key, lambda: (_resolution(log.q @ at.port, log.v @ at.port, log.time, off),))
+        (values,) = log.once_for_all(key, lambda: (_resolution(log.q @ at.port, log.v @ at.port, log.time, off),))
         return Resolution(*(float(x) for x in values))
 
 
@@ -157,6 +157,10 @@ def last_direction(at: JointMotion) -> Array:
     A move is what has a velocity that the log knows, or, however slow, goes farther than noise takes a joint at rest and than dry
     friction needs to turn.
     """
+    return at.of_number("last direction", 0.0, lambda: _last_direction(at))
+
+
+def _last_direction(at: JointMotion) -> Array:
     known = Resolution.of(at)
     moving = np.abs(at.v) > max(known.noise, 1e-3 * known.speed)
     way = maxwell(at.q, max(2.0 * known.wander, 4.0 * known.angle, SHORTEST_MOVE * known.travel))
