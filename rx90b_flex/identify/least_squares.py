@@ -20,8 +20,8 @@ from rx90b_flex.identify.first_shapes import begun, with_starts, without_value
 from rx90b_flex.identify.normal_equations import (
     NormalEquations,
     Solution,
+    coefficients,
     fit_weighted,
-    solve_weighted,
     squares_held_out,
     squares_left,
 )
@@ -641,16 +641,15 @@ class _Fit:
         """Derivative of the predicted torque by each shape parameter."""
         asked: list[tuple[int, float, list[Array]]] = []
         pairs: list[Effect] = []
-        for e, places, coefficients in zip(self.effects, self.shapes.places, self._places, strict=True):
-            theta, at = self.solution.theta[coefficients], e.shape
+        for e, places, own in zip(self.effects, self.shapes.places, self._places, strict=True):
+            theta, at = self.solution.nearly[own], e.shape
             for i, place in enumerate(places):
                 step = DIFFERENCE * max(abs(at[i]), 0.0 if self.shapes.low[place] > 0 else 1e-4)
                 change = step * (np.arange(len(at)) == i)
                 pair = e.with_shape(at + change), e.with_shape(at - change)
                 pairs += pair
-                asked.append(
-                    (place, 2.0 * step, [x.coefficients if e.traits.coefficients_follow else theta for x in pair])
-                )
+                known = [x.coefficients if e.traits.coefficients_follow else theta for x in pair]
+                asked.append((place, 2.0 * step, known))
         shown = iter(self.regression.each(pairs, once=True))
         parts = []
         for (place, width, (above, below)), (rows, up), (also, down) in zip(asked, shown, shown, strict=True):
@@ -680,7 +679,8 @@ class _Fit:
         """Steps in some of the shape parameters (s,)."""
         # what a robot file states, as it does when a loop is closed again, goes on to be possible
         stated = {e.label for e in self.regression.robot.effects if e.known}
-        within = self._of_effects([e.label in stated for e in self.effects]) & ~self.beyond
+        within = self._of_effects([e.label in stated for e in self.effects])
+        within = within & ~self.beyond if within.any() else within
         return lowest(_Shaped(self, moving & ~self.shapes.held, self.solution.sigma, within), rounds).fit
 
     @property
@@ -699,14 +699,14 @@ class _Fit:
             for part in (self.fixed, self.varied):
                 at = part.places[j]
                 products = d.T @ part.columns[j]
-                left -= products @ self.solution.theta[at]
+                left -= products @ self.solution.nearly[at]
                 np.add.at(with_columns, np.ix_(s, at), weight * products)
             np.add.at(own, np.ix_(s, s), weight * d.T @ d)
             np.add.at(score, s, weight * left)
         gram = np.tensordot(sigma**-2.0, self.normal.total[0], axes=1) + self.precision
-        inverse = solve_weighted(gram, np.zeros(size), np.zeros(size))[1]
+        taken = with_columns @ coefficients(gram, with_columns.T, np.zeros((size, shapes)))
         step = self.shapes.per_step(self.shape)
-        return (own - with_columns @ inverse @ with_columns.T) * np.outer(step, step), score * step
+        return (own - taken) * np.outer(step, step), score * step
 
     def widened(self, index: int, std: Array) -> Array:
         """Factors of standard deviations (k,) of an effect's shapes (`reach.widened`), worked out once."""

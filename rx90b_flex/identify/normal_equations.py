@@ -89,27 +89,50 @@ class NormalEquations:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Solution of weighted normal equations.
+    """Solution of weighted normal equations, worked out where it is asked for: most fits on a way are asked for `nearly` alone.
 
     Attributes
     ----------
-    theta : array, shape (p,)
-        Where the data says nothing, as near to the prior as the rest allows.
     sigma : array, shape (joints,)
         Residual standard deviation a joint; the weights are ``1 / sigma^2``.
-    inverse : array, shape (p, p)
-        Pseudo-inverse of the weighted Gram matrix.
-    null : array, shape (p, m)
-        Directions that the data does not determine, in scaled parameters (orthonormal).
-    scale : array, shape (p,)
-        Scaled parameter = parameter * scale.
+    gram, cross : array, shape (p, p) and (p,)
+        Of the equations.
+    prior : array, shape (p,)
     """
 
-    theta: Array
     sigma: Array
-    inverse: Array
-    null: Array
-    scale: Array
+    gram: Array
+    cross: Array
+    prior: Array
+
+    @cached_property
+    def nearly(self) -> Array:
+        """`theta` but for what the data does not determine, shape (p,)."""
+        return coefficients(self.gram, self.cross, self.prior)
+
+    @cached_property
+    def _solved(self) -> tuple[Array, Array, Array, Array]:
+        return solve_weighted(self.gram, self.cross, self.prior)
+
+    @property
+    def theta(self) -> Array:
+        """Where the data says nothing, as near to the prior as the rest allows; shape (p,)."""
+        return self._solved[0]
+
+    @property
+    def inverse(self) -> Array:
+        """Pseudo-inverse of the weighted Gram matrix, shape (p, p)."""
+        return self._solved[1]
+
+    @property
+    def null(self) -> Array:
+        """Directions that the data does not determine, in scaled parameters (orthonormal), shape (p, m)."""
+        return self._solved[2]
+
+    @property
+    def scale(self) -> Array:
+        """Scaled parameter = parameter * scale, shape (p,)."""
+        return self._solved[3]
 
     @property
     def rank(self) -> int:
@@ -167,18 +190,21 @@ def dependent(gram: Array) -> Indices:
     return np.sort(pivots[rank:] - 1)
 
 
-def _coefficients(gram: Array, cross: Array, prior: Array) -> Array:
-    """The first of what `solve_weighted` gives, without its rank: by Cholesky's factors, a touch of ridge and its correction."""
+def coefficients(gram: Array, cross: Array, prior: Array) -> Array:
+    """The first of what `solve_weighted` gives, without its rank: by Cholesky's factors, a touch of ridge and its correction.
+
+    Of one right-hand side (p,), or several (p, k).
+    """
     scale = column_scale(np.diag(gram))
     scaled = gram / np.outer(scale, scale)
     factor, failed = linalg.lapack.dpotrf(scaled + RIDGE * np.eye(len(scaled)))
     if failed:
         return solve_weighted(gram, cross, prior)[0]
-    asked = (cross - gram @ prior) / scale
-    found = np.zeros(len(prior))
+    asked = ((cross - gram @ prior).T / scale).T
+    found = np.zeros(prior.shape)
     for _ in range(CORRECTIONS):
         found = found + linalg.lapack.dpotrs(factor, asked - scaled @ found)[0]
-    return np.asarray(prior + found / scale)
+    return np.asarray(prior + (found.T / scale).T)
 
 
 def fit_weighted(
@@ -219,14 +245,13 @@ def fit_weighted(
     last = weighted()
     for _ in range(0 if fixed else rounds):
         last = weighted()
-        squares = normal.squares(_coefficients(*last, prior))
+        squares = normal.squares(coefficients(*last, prior))
         new = np.maximum(np.sqrt(squares / samples), smallest)
         done = np.abs(new / current - 1).max() < 1e-4
         current = new
         if done:
             break
-    theta, inverse, null, scale = solve_weighted(*last, prior)
-    return Solution(theta, current, inverse, null, scale)
+    return Solution(current, *last, prior)
 
 
 def squares_left(normal: NormalEquations, prior: Array, sigma: Array, precision: Array, centre: Array) -> float:
@@ -234,7 +259,7 @@ def squares_left(normal: NormalEquations, prior: Array, sigma: Array, precision:
     gram, cross, _ = normal.total
     weight = sigma**-2.0
     pulled = weight @ cross + precision @ centre
-    theta = _coefficients(np.tensordot(weight, gram, axes=1) + precision, pulled, prior)
+    theta = coefficients(np.tensordot(weight, gram, axes=1) + precision, pulled, prior)
     return float(normal.squares(theta) @ weight + (theta - centre) @ precision @ (theta - centre))
 
 
@@ -245,6 +270,6 @@ def squares_held_out(normal: NormalEquations, prior: Array, sigma: Array, precis
     gram, cross = grams.sum(axis=0) + precision, crosses.sum(axis=0) + precision @ centre
     left = float((normal.power @ weight).sum())
     for g, c in zip(grams, crosses, strict=True):
-        theta = _coefficients(gram - g, cross - c, prior)
+        theta = coefficients(gram - g, cross - c, prior)
         left += float(theta @ g @ theta - 2.0 * c @ theta)
     return left
