@@ -283,6 +283,7 @@ class Motion:
         """Give back what was worked out once."""
         for name in ("on_tree", "model_torque", "_kept", "_latest"):
             self.__dict__.pop(name, None)
+        self._alone.clear()
 
     def model_sensitivity(self, joint: str) -> tuple[Array, ...]:
         """Change of `model_torque` per change of a joint's position, velocity and acceleration; each (N, n).

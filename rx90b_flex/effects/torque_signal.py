@@ -70,14 +70,17 @@ class TorqueDelay(LogEffect, on="robot or joint", needs_model=True):
         """Torque of the model `delay` ago less that of now, (N, n)."""
         if len(motion) < 4 or not motion.time[1] > motion.time[0]:
             return np.zeros_like(motion.q)
-        q, v, a = np.split(_late(np.hstack([motion.q, motion.v, motion.a]), motion.time, delay), 3, axis=1)
+        moved = motion.once_for_all(
+            ("in time",), lambda: _in_time(np.hstack([motion.q, motion.v, motion.a]), motion.time)
+        )
+        q, v, a = np.split(_late(moved, motion.time, delay), 3, axis=1)
         stuck = None if motion.stuck is None else _late_sticks(motion.stuck, delay / (motion.time[1] - motion.time[0]))
         logged = motion.logged or motion
         ago = dataclasses.replace(motion, q=q, v=v, a=a, time=motion.time - delay, stuck=stuck, logged=logged)
         own = [e for e in motion.effects if not e.traits.needs_load]
         smooth, now = motion.once(("torque without delay",), lambda: self._without_delay(motion, own))
         out = with_forces(np.zeros_like(motion.q), own, ago) - now
-        return np.asarray(out + _late(smooth, motion.time, delay) - smooth)
+        return np.asarray(out + _late(_in_time(smooth, motion.time), motion.time, delay) - smooth)
 
     @staticmethod
     def _without_delay(motion: Motion, own: Sequence[Force]) -> tuple[Array, Array]:
@@ -134,10 +137,15 @@ def _late_sticks(stuck: Array, samples: float) -> Array:
     return np.asarray(np.clip(stuck[at] - (samples - whole) * slope[at], -1.0, 1.0))
 
 
-def _late(x: Array, time: Array, delay: float) -> Array:
-    """Smooth signals (N, m) of `delay` ago; the first or last sample where there is none."""
-    # as `CubicSpline`, in a third of the time
-    return np.asarray(interpolate.make_interp_spline(time, x)(np.clip(time - delay, time[0], time[-1])))
+def _in_time(x: Array, time: Array) -> tuple[Array, Array]:
+    """Smooth signals (N, m) between samples: knots and coefficients of their cubic spline."""
+    spline = interpolate.make_interp_spline(time, x)
+    return spline.t, spline.c
+
+
+def _late(spline: tuple[Array, ...], time: Array, delay: float) -> Array:
+    """Such signals of `delay` ago, (N, m); the first or last sample where there is none."""
+    return np.asarray(interpolate.BSpline(*spline, k=3)(np.clip(time - delay, time[0], time[-1])))
 
 
 @dataclass(frozen=True, kw_only=True)
