@@ -171,13 +171,7 @@ class _Beside:
     def base(self, candidate: Effect | None) -> Base:
         """What the candidate comes to: all of this, less what it replaces itself."""
         out = tuple(e for e in self.restored if candidate is None or e.type_name() not in candidate.traits.stands_for)
-        if out not in self._bases:
-            self._bases[out] = self.search.base(self.named, out)
-        return self._bases[out]
-
-    @cached_property
-    def _bases(self) -> dict[tuple[Effect, ...], Base]:
-        return {}
+        return self.search.base(self.named, out)
 
     def trial(self, effect: Effect) -> TorqueTrial:
         """Of an effect in the named one's place."""

@@ -64,6 +64,7 @@ WORTH_A_FIT = 0.5  # p-value of a gain in a bent torque, below which the fit wit
 FAINT_PART = 1.0e-2  # of the power of a candidate's columns beside the base: in a joint with less, it hardly changes the residual
 ROUNDING = 1.0e-6  # of an effect's torque: a coefficient whose part is less is zero
 BATCH_BYTES = 6e6  # of columns that are looked at together
+BASES_BYTES = 2e8  # of residuals that bases have which are kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +91,7 @@ class Search:
 
     def after(self, other: Search) -> Search:
         """This one with what another one has worked out of the same model."""
-        names = ("blocks", "longest_parts", "shared", "present", "_worths")
+        names = ("blocks", "longest_parts", "shared", "present", "_bases", "_worths")
         self.__dict__.update({name: other.__dict__[name] for name in names if name in other.__dict__})
         return self
 
@@ -128,10 +129,24 @@ class Search:
     @cached_property
     def present(self) -> Base:
         """The present model as it is."""
-        return self.base()
+        return self._base(None, ())
 
     def base(self, replaced: Effect | None = None, restored: Sequence[Effect] = ()) -> Base:
-        """The present model without `replaced`, and with effects beside it that are not in it."""
+        """The present model without `replaced`, and with effects beside it that are not in it; the latest ones are kept."""
+        known, key = self._bases, (replaced, tuple(restored))
+        if key == (None, ()):
+            return self.present
+        if key not in known:
+            if 8 * self.shared.target.size * len(known) > BASES_BYTES:
+                del known[next(iter(known))]
+            known[key] = self._base(*key)
+        return known[key]
+
+    @cached_property
+    def _bases(self) -> dict[tuple[Effect | None, tuple[Effect, ...]], Base]:
+        return {}
+
+    def _base(self, replaced: Effect | None, restored: Sequence[Effect]) -> Base:
         model = self.model
         spare, theta = self.shared.spare
         kept = np.setdiff1d(np.arange(len(theta)), spare)
@@ -275,24 +290,12 @@ class Search:
             effect, replaced = self.candidates[number]
             starts = self._starts(effect, replaced)
             if len(starts):
-                base = self._base_beside(replaced)
+                base = self.base(replaced)
                 # an effect that replaces another starts from a worse base: count only what it adds to the present model
                 lost = float(base.squares.sum() - self.present.squares.sum()) if replaced is not None else 0.0
                 rough = Rough(effect, replaced, starts, lost)
                 out.append((number, self._looked(rough, self._glimpsed(effect, starts))))
         return out, self.regression.first_looks_since(known) if known else []
-
-    def _base_beside(self, replaced: Effect | None) -> Base:
-        """`base`, kept for all that would replace an effect."""
-        if replaced is None:
-            return self.present
-        if replaced not in self._bases:
-            self._bases[replaced] = self.base(replaced)
-        return self._bases[replaced]
-
-    @cached_property
-    def _bases(self) -> dict[Effect, Base]:
-        return {}
 
     def _may_matter(self, item: Rough) -> bool:
         """Whether its first look leaves it open that an effect explains enough of a joint that it acts on for a name."""
@@ -340,7 +343,7 @@ class Search:
     def _tried(self, item: Rough) -> TorqueTrial:
         """The trial of what was looked at, by more than a glimpse."""
         closer = self._looked(item, False) if item.glimpsed else item
-        base = self._base_beside(item.replaced)
+        base = self.base(item.replaced)
         found = self.trial(closer.effect, base, self.present, self.tests, closer.elsewhere)
         self.regression.forget_long()
         return self._fitted(item.effect) if item.effect.traits.multiplies and found.p_value < WORTH_A_FIT else found
@@ -371,7 +374,7 @@ class Search:
 
     def _looked(self, item: Rough, glimpsed: bool) -> Rough:
         """With the best of its shapes and what that gains, by a glimpse of the log or a first look at it."""
-        base = self._base_beside(item.replaced)
+        base = self.base(item.replaced)
         looks = sorted(self._over_shapes(item.effect, item.starts, base, glimpsed), key=lambda pair: -pair[0])
         gain, best = looks[0]
         elsewhere = () if glimpsed else tuple(self._apart(looks)[1:])
