@@ -27,7 +27,7 @@ from rx90b_flex.identify.normal_equations import (
 )
 from rx90b_flex.identify.penalty import prior_precision, smoothed
 from rx90b_flex.identify.reach import widened
-from rx90b_flex.identify.regression import Regression
+from rx90b_flex.identify.regression import Pair, Regression
 from rx90b_flex.identify.shapes import Shapes
 from rx90b_flex.identify.uncertainty import Uncertainty, absorbed_each
 from rx90b_flex.levenberg import ROUNDING, Iterate, lowest
@@ -639,25 +639,18 @@ class _Fit:
     @cached_property
     def _by_shape(self) -> ColumnsByJoint:
         """Derivative of the predicted torque by each shape parameter."""
-        asked: list[tuple[int, float, list[Array]]] = []
-        pairs: list[Effect] = []
+        asked: list[tuple[int, float]] = []
+        pairs: list[Pair] = []
         for e, places, own in zip(self.effects, self.shapes.places, self._places, strict=True):
             theta, at = self.solution.nearly[own], e.shape
             for i, place in enumerate(places):
                 step = DIFFERENCE * max(abs(at[i]), 0.0 if self.shapes.low[place] > 0 else 1e-4)
-                change = step * (np.arange(len(at)) == i)
-                pair = e.with_shape(at + change), e.with_shape(at - change)
-                pairs += pair
-                known = [x.coefficients if e.traits.coefficients_follow else theta for x in pair]
-                asked.append((place, 2.0 * step, known))
-        shown = iter(self.regression.each(pairs, once=True))
-        parts = []
-        for (place, width, (above, below)), (rows, up), (also, down) in zip(asked, shown, shown, strict=True):
-            both = np.union1d(rows, also)
-            slope = np.zeros((len(self.regression), len(both)))
-            slope[:, np.searchsorted(both, rows)] += up @ above
-            slope[:, np.searchsorted(both, also)] -= down @ below
-            parts.append((np.array([place]), both, (slope / width * self.factors[both])[:, :, None]))
+                both = (e.with_shape(at + change) for change in (step * np.outer((1.0, -1.0), np.arange(len(at)) == i)))
+                above, below = ((x, x.coefficients if e.traits.coefficients_follow else theta) for x in both)
+                pairs.append((above, below))
+                asked.append((place, 2.0 * step))
+        each = zip(asked, self.regression.apart(pairs), strict=True)
+        parts = [(np.array([p]), at, x / width * self.factors[at, None]) for (p, width), (at, x) in each]
         return ColumnsByJoint.of(parts, len(self.regression.rows), len(self.regression))
 
     def cost(self, sigma: Array) -> float:

@@ -28,6 +28,9 @@ GLIMPSE = 4_000  # of them with which a search begins on a log that is not long
 MOST_KEPT = 200  # effects whose columns are kept from one identification to the next,
 FEWEST_KEPT, KEPT_BYTES = 12, 4e7  # of a long log fewer: so many, or what takes so much
 
+Valued = tuple[Effect, Array]  # with coefficients (k,)
+Pair = tuple[Valued, Valued]
+
 
 @dataclass(frozen=True, eq=False)
 class Regression:
@@ -353,6 +356,25 @@ class Regression:
         """As `_made`, for each by itself."""
         parts = [through(s, (self._unfiltered(s, e) for e in effects)) for s in self.segments]
         return [self._over_segments(of_one) for of_one in zip(*parts, strict=True)]
+
+    def apart(self, pairs: Sequence[Pair]) -> list[tuple[Indices, Array]]:
+        """Torque of the first effect of each pair less that of the second one: rows, and (N, rows, 1)."""
+        parts = [through(s, (self._less(s, *pair) for pair in pairs)) for s in self.segments]
+        made = (self._over_segments(of_one) for of_one in zip(*parts, strict=True))
+        return [(rows, self._counted(torque, rows)) for rows, torque in made]
+
+    def _less(self, segment: Segment, more: Valued, less: Valued) -> Unfiltered:
+        """As `apart`, of which one column goes through the low-pass in place of both effects' own."""
+        (a, up), (b, down) = ((self._unfiltered(segment, e), values) for e, values in (more, less))
+        one_place = np.array_equal(a.rows, b.rows)
+        if one_place and a.weight is not None and b.weight is not None and np.array_equal(a.weight, b.weight):
+            return Unfiltered(a.rows, a.weight, (a.basis @ up - b.basis @ down)[:, None])
+        rows = np.union1d(a.rows, b.rows)
+        out = np.zeros((len(segment.motion), len(rows), 1))
+        for x, values in ((a, up), (b, -down)):
+            torque = x.basis @ values
+            out[:, np.searchsorted(rows, x.rows), 0] += torque if x.weight is None else np.outer(torque, x.weight)
+        return Unfiltered(rows, None, out)
 
     def _unfiltered(self, segment: Segment, effect: Effect) -> Unfiltered:
         factors = effect.factors(segment.motion)
