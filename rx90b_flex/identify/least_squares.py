@@ -445,8 +445,8 @@ class _Fit:
         """Columns of the effects that have shape parameters, or of those without, as far as their coefficients are estimated."""
         asked = [
             (e, at)
-            for e, at in zip(self.effects, self._places, strict=True)
-            if bool(len(e.shape)) == shaped and not e.traits.coefficients_follow
+            for e, at, own in zip(self.effects, self._places, self.shapes.places, strict=True)
+            if bool(len(own)) == shaped and not e.traits.coefficients_follow
         ]
         parts = []
         for (e, at), (rows, columns) in zip(asked, self.regression.each([e for e, _ in asked]), strict=True):
@@ -474,7 +474,7 @@ class _Fit:
 
     def _of_effects(self, which: Sequence[bool]) -> Mask:
         """Which coefficients are of those effects, (p,)."""
-        return np.repeat([False, *which], [self._offset, *(len(e.coefficients) for e in self.effects)])
+        return np.repeat([False, *which], [self._offset, *map(len, self._places)])
 
     @cached_property
     def goal(self) -> Array:
@@ -629,10 +629,10 @@ class _Fit:
     def with_shape(self, shape: Array) -> _Fit:
         """With other shapes, and the columns that these do not touch."""
         other = dataclasses.replace(self, effects=self.shapes.put(self.effects, shape))
-        other.__dict__.update(target=self.target, factors=self.factors, fixed=self.fixed)
+        other.__dict__.update(target=self.target, factors=self.factors, fixed=self.fixed, _places=self._places)
         if not any(e.traits.coefficients_follow for e in self.effects):
             other.__dict__.update(goal=self.goal, prior=self.prior)
-        if not prior_precision([e for e in self.effects if len(e.shape)]).any():
+        if not any(len(own) and e.penalty is not None for e, own in zip(self.effects, self.shapes.places, strict=True)):
             other.__dict__["precision"] = self.precision
         return other
 
