@@ -276,12 +276,12 @@ class Motion:
         return other
 
     @cached_property
-    def _latest(self) -> dict[tuple[str, str], dict[str, dict[float, Any]]]:
+    def _joints(self) -> dict[tuple[str, str], tuple[Any, ...]]:
         return {}
 
     def forget(self) -> None:
         """Give back what was worked out once."""
-        for name in ("on_tree", "model_torque", "_kept", "_latest"):
+        for name in ("on_tree", "model_torque", "_kept", "_joints"):
             self.__dict__.pop(name, None)
         self._alone.clear()
 
@@ -313,13 +313,13 @@ class Motion:
 
     def joint(self, name: str, kind: str = "joint") -> JointMotion:
         """Motion of one joint (its angle theta) or of one of its coordinates."""
-        port = self.coordinates.port(name, kind)
-        places = np.flatnonzero(port)
-        kept = self._latest.setdefault((name, kind), {})
-        if len(places) == 1:
-            i = int(places[0])
-            return JointMotion(self.q[:, i], self.v[:, i], self.a[:, i], self.time, self, port, kept)
-        return JointMotion(self.q @ port, self.v @ port, self.a @ port, self.time, self, port, kept)
+        if (name, kind) not in self._joints:
+            port = self.coordinates.port(name, kind)
+            alone = slice(None), *np.flatnonzero(port)
+            own = (x[alone] if len(alone) == 2 else x @ port for x in (self.q, self.v, self.a))
+            self._joints[name, kind] = *own, self.time, port, {}
+        q, v, a, time, port, kept = self._joints[name, kind]
+        return JointMotion(q, v, a, time, self, port, kept)
 
 
 def with_forces(torque: Array, effects: Iterable[Force], motion: Motion) -> Array:
