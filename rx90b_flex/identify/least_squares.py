@@ -642,7 +642,7 @@ class _Fit:
         asked: list[tuple[int, float]] = []
         pairs: list[Pair] = []
         for e, places, own in zip(self.effects, self.shapes.places, self._places, strict=True):
-            theta, at = self.solution.nearly[own], e.shape
+            theta, at = self.solution.theta[own], e.shape
             for i, place in enumerate(places):
                 step = DIFFERENCE * max(abs(at[i]), 0.0 if self.shapes.low[place] > 0 else 1e-4)
                 both = (e.with_shape(at + change) for change in (step * np.outer((1.0, -1.0), np.arange(len(at)) == i)))
@@ -692,7 +692,7 @@ class _Fit:
             for part in (self.fixed, self.varied):
                 at = part.places[j]
                 products = d.T @ part.columns[j]
-                left -= products @ self.solution.nearly[at]
+                left -= products @ self.solution.theta[at]
                 np.add.at(with_columns, np.ix_(s, at), weight * products)
             np.add.at(own, np.ix_(s, s), weight * d.T @ d)
             np.add.at(score, s, weight * left)

@@ -89,7 +89,7 @@ class NormalEquations:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Solution of weighted normal equations, worked out where it is asked for: most fits on a way are asked for `nearly` alone.
+    """Solution of weighted normal equations, worked out where it is asked for: many fits on a way are asked for `sigma` alone.
 
     Attributes
     ----------
@@ -104,11 +104,6 @@ class Solution:
     gram: Array
     cross: Array
     prior: Array
-
-    @cached_property
-    def nearly(self) -> Array:
-        """`theta` but for what the data does not determine, shape (p,)."""
-        return coefficients(self.gram, self.cross, self.prior)
 
     @cached_property
     def _solved(self) -> tuple[Array, Array, Array, Array]:
