@@ -141,8 +141,9 @@ def main() -> None:
                 raise SystemExit(f"{unknown[0]!r}: no case; there are {', '.join(CASES)}")
             for name in names or CASES:
                 with tempfile.TemporaryDirectory() as cache:
-                    cold = {"NUMBA_CACHE_DIR": cache} if "--cold" in arguments else {}
-                    subprocess.run([sys.executable, __file__, "--one", name], check=True, env=os.environ | cold)
+                    environment = os.environ | ({"NUMBA_CACHE_DIR": cache} if "--cold" in arguments else {})
+                    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # an installed package is not compiled at each start
+                    subprocess.run([sys.executable, __file__, "--one", name], check=True, env=environment)
 
 
 if __name__ == "__main__":

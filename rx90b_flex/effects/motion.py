@@ -263,7 +263,9 @@ class Motion:
     def _alone(self) -> dict[tuple[str, ...], tuple[NDArray[Any], ...]]:
         return {}
 
-    def once_for_all(self, key: tuple[str, ...], make: Callable[[], tuple[NDArray[Any], ...]]) -> tuple[NDArray[Any], ...]:
+    def once_for_all(
+        self, key: tuple[str, ...], make: Callable[[], tuple[NDArray[Any], ...]]
+    ) -> tuple[NDArray[Any], ...]:
         """As `once`, of what every model sees alike."""
         if key not in self._alone:
             self._alone[key] = make()
