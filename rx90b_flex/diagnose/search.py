@@ -64,7 +64,7 @@ WORTH_A_FIT = 0.5  # p-value of a gain in a bent torque, below which the fit wit
 FAINT_PART = 1.0e-2  # of the power of a candidate's columns beside the base: in a joint with less, it hardly changes the residual
 ROUNDING = 1.0e-6  # of an effect's torque: a coefficient whose part is less is zero
 BATCH_BYTES = 6e6  # of columns that are looked at together
-BASES_BYTES = 2e8  # of residuals that bases have which are kept
+BASES_BYTES = 5e7  # of residuals that bases have which are kept
 
 
 @dataclass(frozen=True, eq=False)
