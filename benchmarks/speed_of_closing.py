@@ -142,7 +142,8 @@ def main() -> None:
             for name in names or CASES:
                 with tempfile.TemporaryDirectory() as cache:
                     environment = os.environ | ({"NUMBA_CACHE_DIR": cache} if "--cold" in arguments else {})
-                    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # an installed package is not compiled at each start
+                    # an installed package is not compiled at each start
+                    environment.pop("PYTHONDONTWRITEBYTECODE", None)
                     subprocess.run([sys.executable, __file__, "--one", name], check=True, env=environment)
 
 
