@@ -82,7 +82,7 @@ def test_joints_that_slide_have_lengths_and_forces(tmp_path: Path) -> None:
         (False, "q{}_deg_s", "tau{}", "column 'q1_deg_s' is in deg/s, which is no unit of an angle"),
         (False, "q{} (W)", "tau{}", "column 'q1 (W)' is in W"),
         (False, "q{} [counts]", "tau{}", "column 'q1 [counts]' is in counts"),
-        (False, "q{}", "tau{} [kp.m]", "column 'tau1 [kp.m]' is in kp.m, which import does not bring to SI; expected Nm"),
+        (False, "q{}", "tau{} [pdl.ft]", "column 'tau1 [pdl.ft]' is in pdl.ft, which import does not bring to SI; expected Nm"),
         (False, "q{}", "tau{} [N]", "column 'tau1 [N]' is in N, which is no unit of a torque"),
         (False, "q{}", "tau{} [MNm]", "column 'tau1 [MNm]' is in MNm"),
         (False, "q{}", "tau{} [%]", "column 'tau1 [%]' is in %, which import does not bring to SI"),
