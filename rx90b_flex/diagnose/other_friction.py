@@ -1,6 +1,8 @@
 """Whether friction of one recording is larger or smaller than that of the others: a warm drive rubs less than a cold one.
 
-No law of the motion tells one recording from another, and no recording says how warm its drives were.
+No law of the motion tells one recording from another, and no recording says how warm its drives were. Left in the residual, such a
+change makes every candidate unsure, and some seem to explain it: so candidates are held against a model whose frictions are free to
+differ between recordings (`with_changes`), where the residual asks for that.
 """
 
 from __future__ import annotations
@@ -11,16 +13,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from rx90b_flex.effects import Effect
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.effects.motion import Array, Indices
+from rx90b_flex.identify.columns import ColumnsByJoint
 from rx90b_flex.identify.least_squares import Identification
 from rx90b_flex.identify.regression import Regression
+from rx90b_flex.identify.segment import Segment
 
 LEAST = 0.015  # of the model's friction: what a change of a degree or two makes is not worth a word
 SURE = 5.0  # standard deviations
 TAKEN = 0.25  # of the squared error of the joint in the recording, at the least
 # the change at low speeds over that at high ones, or the other way: a law that is wrong differs between them
 ALIKE = 0.3
-BLOCK_S, FEWEST_BLOCKS = 2.0, 8  # over which standard deviations are taken, as errors within one go together
+USUAL = 0.1  # of the model's friction: what that of one recording differs by, before the data say so
+FEW = 8  # recordings: as many are free where one differs
+BLOCK_S, FEWEST_BLOCKS = 2.0, 8  # over which standard deviations are taken
 
 
 @dataclass(frozen=True)
@@ -87,15 +93,66 @@ def other_friction(
         friction += (seen.columns(effect) @ effect.known_coefficients())[:, : residual.shape[1]]
     for name, span, segment in zip(names, regression.spans, regression.segments, strict=True):
         speed = np.abs(segment.velocity)
-        blocks = max(FEWEST_BLOCKS, int(len(speed) / segment.rate_hz / BLOCK_S))
         each = [
-            (joint, *_change(friction[span, j], residual[span, j], speed[:, j], blocks))
+            (joint, *_change(friction[span, j], residual[span, j], speed[:, j], _blocks(segment)))
             for j, joint in enumerate(regression.joints)
         ]
         told = [x for x in each if _is_told(*x[1:])]
         if told:
             joints, changes, stds, shares, _ = zip(*told, strict=True)
             yield OtherFriction(name, joints, changes, stds, shares)
+
+
+def with_changes(model: Identification, count: int) -> tuple[ColumnsByJoint, Array]:
+    """Columns of a model with changes of its frictions from recording to recording behind them.
+
+    None where no friction of no recording differs. A robot that is warmer is so in all its drives: if one differs, all may. The sum
+    of a friction's changes over all recordings is zero: what these have in common is the model's.
+
+    Parameters
+    ----------
+    model : Identification
+    count : int
+        Columns that it has, shapes' too.
+
+    Returns
+    -------
+    columns : ColumnsByJoint
+    precision : array, shape (k, k)
+        Of the k changes before the data, inverse variance.
+    """
+    rubbing = [e for e in model.effects if _rubs(e)]
+    each = zip(model.regression.each(rubbing), rubbing, strict=True)
+    frictions = [(rows, columns @ e.known_coefficients()) for (rows, columns), e in each]
+    apart = _apart(model, frictions)
+    if not len(apart):
+        return model.derivatives, np.zeros((0, 0))
+    spans = model.regression.spans
+    parts = []
+    for number, (rows, torque) in enumerate(frictions):
+        own = np.full((*torque.shape, len(apart)), -1.0 / len(spans))
+        for i, r in enumerate(apart):
+            own[spans[r], :, i] += 1.0
+        parts.append((count + len(apart) * number + np.arange(len(apart)), rows, own * torque[:, :, None]))
+    more = ColumnsByJoint.of(parts, *model.residual.T.shape)
+    return model.derivatives.beside(more), USUAL**-2.0 * np.eye(len(apart) * len(frictions))
+
+
+def _apart(model: Identification, frictions: Sequence[tuple[Indices, Array]]) -> Indices:
+    """Recordings in which any friction stands out: of few recordings all, of many those in which one does so most.
+
+    All but one, whose changes those of the others say.
+    """
+    recordings = list(zip(model.regression.spans, model.regression.segments, strict=True))
+    by = np.zeros(len(recordings))
+    for rows, torque in frictions if len(recordings) > 1 else ():
+        left = model.residual[:, rows]
+        parts = [_part(torque[span].ravel(), left[span].ravel(), _blocks(s)) for span, s in recordings]
+        by = np.maximum(by, [abs(change) / max(LEAST, SURE * std) for change, std in parts])
+    if not (by > 1.0).any():
+        return np.zeros(0, dtype=np.intp)
+    most = np.argsort(-by)[: min(FEW, len(by) - 1)]
+    return np.sort(most if len(by) <= FEW else most[by[most] > 1.0])
 
 
 def _rubs(effect: Effect) -> bool:
@@ -105,21 +162,31 @@ def _rubs(effect: Effect) -> bool:
     return effect.known and traits.is_friction and traits.on == "joint" and by_motion
 
 
+def _blocks(segment: Segment) -> int:
+    """How many pieces of a recording say a standard deviation: errors within one go together."""
+    return max(FEWEST_BLOCKS, int(len(segment.velocity) / segment.rate_hz / BLOCK_S))
+
+
+def _part(torque: Array, left: Array, blocks: int) -> tuple[float, float]:
+    """How much of a torque (N,) goes on in what is left (N,), and the standard deviation of that."""
+    size = float(torque @ torque)
+    if size == 0.0:
+        return 0.0, np.inf
+    part = float(torque @ left) / size
+    pieces = zip(np.array_split(torque, blocks), np.array_split(left, blocks), strict=True)
+    return part, float(np.sqrt(sum((f @ (x - part * f)) ** 2 for f, x in pieces))) / size
+
+
 def _change(friction: Array, left: Array, speed: Array, blocks: int) -> tuple[float, float, float, float]:
     """Of one joint in one recording: change of its friction, std, share of the squared error, and likeness between speeds."""
-    size, squares = float(friction @ friction), float(left @ left)
-    if size == 0.0 or squares == 0.0:
+    squares = float(left @ left)
+    change, std = _part(friction, left, blocks)
+    if std == np.inf or squares == 0.0:
         return 0.0, np.inf, 0.0, 0.0
-    change = float(friction @ left) / size
-    pieces = zip(np.array_split(friction, blocks), np.array_split(left, blocks), strict=True)
-    std = float(np.sqrt(sum((f @ (x - change * f)) ** 2 for f, x in pieces))) / size
     slow = speed <= np.median(speed[speed > 0.0]) if speed.any() else speed <= 0.0
-    parts = []
-    for rows in (slow, ~slow):
-        own = float(friction[rows] @ friction[rows])
-        parts.append(float(friction[rows] @ left[rows]) / own if own > 0.0 else 0.0)
-    lower, higher = sorted(np.array(parts) * np.sign(change))
-    return change, std, change**2 * size / squares, float(lower / higher) if higher > 0.0 else 0.0
+    lower, higher = sorted(np.array([_part(friction[at], left[at], 1)[0] for at in (slow, ~slow)]) * np.sign(change))
+    share = change**2 * float(friction @ friction) / squares
+    return change, std, share, float(lower / higher) if higher > 0.0 else 0.0
 
 
 def _is_told(change: float, std: float, share: float, alike: float) -> bool:

@@ -22,6 +22,7 @@ from rx90b_flex.diagnose.base import (
 )
 from rx90b_flex.diagnose.families import FAMILIES, family
 from rx90b_flex.diagnose.kinds import crowded, laws, repeated, rounded_off, shuts_out
+from rx90b_flex.diagnose.other_friction import with_changes
 from rx90b_flex.diagnose.refinement import LookAtShape, Refinement
 from rx90b_flex.diagnose.rough import Rough
 from rx90b_flex.diagnose.side_by_side import SideBySide
@@ -123,8 +124,10 @@ class Search:
         theta = np.concatenate([model.theta, np.zeros(len(shapes))]) - model.centre
         target = np.ascontiguousarray(model.residual.T + model.derivatives.times(theta))
         links, weight = model.first_column(0) if model.links_fitted else 0, model.solution.sigma**-2.0
-        precision = model.precision + np.diag(of_shapes)
-        return SharedColumns(model.derivatives, target, weight, self.blocks, precision, theta, links)
+        columns, of_changes = with_changes(model, len(theta))
+        precision = linalg.block_diag(model.precision + np.diag(of_shapes), of_changes)
+        theta = np.concatenate([theta, np.zeros(len(of_changes))])
+        return SharedColumns(columns, target, weight, self.blocks, precision, theta, links)
 
     @cached_property
     def present(self) -> Base:
