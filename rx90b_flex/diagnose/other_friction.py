@@ -121,9 +121,7 @@ def with_changes(model: Identification, count: int) -> tuple[ColumnsByJoint, Arr
     precision : array, shape (k, k)
         Of the k changes before the data, inverse variance.
     """
-    rubbing = [e for e in model.effects if _rubs(e)]
-    each = zip(model.regression.each(rubbing), rubbing, strict=True)
-    frictions = [(rows, columns @ e.known_coefficients()) for (rows, columns), e in each]
+    frictions = _frictions(model, model.regression)
     apart = _apart(model, frictions)
     if not len(apart):
         return model.derivatives, np.zeros((0, 0))
@@ -136,6 +134,33 @@ def with_changes(model: Identification, count: int) -> tuple[ColumnsByJoint, Arr
         parts.append((count + len(apart) * number + np.arange(len(apart)), rows, own * torque[:, :, None]))
     more = ColumnsByJoint.of(parts, *model.residual.T.shape)
     return model.derivatives.beside(more), USUAL**-2.0 * np.eye(len(apart) * len(frictions))
+
+
+def helps_beside_it(added: Identification, without: Identification, held_out: Regression) -> bool:
+    """Whether a model leaves less than another one of recordings that were not fitted, where the friction of each is free.
+
+    False where no friction of the recordings that were fitted differs: then that of the others is no excuse.
+    """
+    if not len(_apart(without, _frictions(without, without.regression))):
+        return False
+    frictions = _frictions(without, held_out.with_model(without.link_parameters, without.effects))
+    left = []
+    for model in (added, without):
+        residual = model.residual_on(held_out)
+        for span in held_out.spans:
+            for j in range(residual.shape[1]):
+                own = [torque[span, at] for rows, torque in frictions for at in np.flatnonzero(rows == j)]
+                columns = np.array([f for f in own if f.any()]).reshape(-1, span.stop - span.start).T
+                residual[span, j] -= columns @ np.linalg.lstsq(columns, residual[span, j], rcond=None)[0]
+        left.append(float((residual**2).sum()))
+    return left[0] < left[1]
+
+
+def _frictions(model: Identification, regression: Regression) -> list[tuple[Indices, Array]]:
+    """Torque of each friction of a model in the rows of a regression: which joints, and (N, r), N m."""
+    rubbing = [e for e in model.effects if _rubs(e)]
+    each = zip(regression.each(rubbing), rubbing, strict=True)
+    return [(rows, columns @ e.known_coefficients()) for (rows, columns), e in each]
 
 
 def _apart(model: Identification, frictions: Sequence[tuple[Indices, Array]]) -> Indices:

@@ -18,6 +18,7 @@ from rx90b_flex.diagnose.identified import with_possible_values
 from rx90b_flex.diagnose.kinds import beside_motion, last_resorts, laws, repeated
 from rx90b_flex.diagnose.loop import Addition, Candidates, Residual, Standing
 from rx90b_flex.diagnose.moving import resting_each
+from rx90b_flex.diagnose.other_friction import helps_beside_it
 from rx90b_flex.diagnose.residual import Errors, ReplayedTorques, RoleErrors, noise_floor, replayed_errors
 from rx90b_flex.diagnose.reversals import row_weights
 from rx90b_flex.diagnose.search import Search
@@ -550,6 +551,10 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         """How likely chance raises the held-out error as an addition does, and what is said of it; None where it does no harm."""
         less, more = (m.told.validation for m in (without, model))
         if not more.worse_than(less):
+            return None
+        if more.relative_error < WORSE * less.relative_error and helps_beside_it(
+            model.identified, without.identified, self.data.held_out
+        ):
             return None
         between = f"{less.relative_error:.4f} -> {more.relative_error:.4f}"
         found = self.data.rise(without, model)
