@@ -64,6 +64,37 @@ def test_friction_that_is_the_same_in_all_is_not_told(tmp_path, hidden, seed):
     assert said(closed(tmp_path, seed, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), *hidden)) == []
 
 
+ASYMMETRIC = ind.hidden("asymmetric_friction", 0, {"coefficient": 0.25})
+BY_LOAD = ind.hidden("load_friction", 0, {"coefficient": 0.05})
+BY_POWER = ind.hidden("viscous_power_friction", 1, {"coefficient": 0.4, "power": 0.5})
+
+
+@pytest.mark.parametrize(
+    ("label", "hidden", "seed"),
+    [
+        ("shoulder.asymmetric_friction", ASYMMETRIC, 12),
+        pytest.param("shoulder.asymmetric_friction", ASYMMETRIC, 11, marks=pytest.mark.slow),
+        *(pytest.param("shoulder.load_friction", BY_LOAD, s, marks=pytest.mark.slow) for s in (11, 12)),
+        *(pytest.param("elbow.viscous_power_friction", BY_POWER, s, marks=pytest.mark.slow) for s in (11, 12)),
+    ],
+)
+def test_an_effect_is_found_beside_frictions_that_differ_between_recordings(tmp_path, label, hidden, seed):
+    """All six were missed, and in one `position_friction` stood for what differs."""
+    times = np.random.default_rng(seed).uniform(0.75, 1.3, 3)
+    result = closed(tmp_path, seed, times, times * (1.0, 0.95, 1.04), hidden)
+    assert [e.effect.label for e in result.effects] == [label]
+    assert len(said(result)) >= 2  # and still that they differ
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [21, 22])
+def test_frictions_that_differ_get_no_name_by_themselves(tmp_path, seed):
+    """Dry and viscous friction each by itself."""
+    times = np.random.default_rng(seed).uniform(0.75, 1.3, (2, 3))
+    result = closed(tmp_path, seed, times[0], times[1])
+    assert result.effects == ()
+
+
 @pytest.mark.slow
 def test_a_real_drive_rubs_more_in_the_recording_that_was_not_fitted():
     (words,) = said(rf.close_loop(data_folder("emps") / "campaign.toml"))

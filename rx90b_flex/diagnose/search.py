@@ -20,6 +20,7 @@ from rx90b_flex.diagnose.base import (
     solve_beside,
     wald,
 )
+from rx90b_flex.diagnose.clock_lines import follows_motion
 from rx90b_flex.diagnose.families import FAMILIES, family
 from rx90b_flex.diagnose.kinds import crowded, laws, repeated, rounded_off, shuts_out
 from rx90b_flex.diagnose.other_friction import with_changes
@@ -59,8 +60,6 @@ REFINEMENTS = 15  # looks of a refinement
 REFINING = Damping(rise=16.0, fall=4.0)
 DIFFERENCE = 1.0e-3  # step of difference quotients by the shape, of how far the best one may lie
 MANY = 4  # shapes of a candidate, from which on a glimpse of the log says first whether all of it is worth a look
-BESIDE = 6  # harmonics of a repeating motion on either side of a line that it is compared with
-STANDS_OUT = 20.0  # over their median: that of noise, or of what a model lacks, exceeds it once in a million
 WORTH_A_FIT = 0.5  # p-value of a gain in a bent torque, below which the fit with it may tell another
 FAINT_PART = 1.0e-2  # of the power of a candidate's columns beside the base: in a joint with less, it hardly changes the residual
 ROUNDING = 1.0e-6  # of an effect's torque: a coefficient whose part is less is zero
@@ -128,6 +127,11 @@ class Search:
         precision = linalg.block_diag(model.precision + np.diag(of_shapes), of_changes)
         theta = np.concatenate([theta, np.zeros(len(of_changes))])
         return SharedColumns(columns, target, weight, self.blocks, precision, theta, links)
+
+    @property
+    def frictions_differ(self) -> bool:
+        """Whether candidates are held against frictions that are free to differ between recordings."""
+        return len(self.shared.precision) > len(self.model.precision)
 
     @cached_property
     def present(self) -> Base:
@@ -626,7 +630,7 @@ class Search:
             left, own, score = present.projected(rows, columns)
             also = solve_beside(left, own, score, before)
         p_value, objection, colour, left_over = self._evidence(effect, known, rows, beside, also)
-        if effect.traits.by_clock and self._follows_motion(base.residual[rows], effect):
+        if effect.traits.by_clock and follows_motion(self.regression, base.residual[rows], float(effect.shape[0])):
             objection = "its line lies among those of the motion itself"
         elif effect.traits.by_clock and len(self.regression.spans) < FEWEST_RECORDINGS:
             objection = "one recording cannot tell whether its phase holds in another"
@@ -668,26 +672,6 @@ class Search:
         # what a fit to the others costs a recording by chance: as much as it is longer than they are together
         spread = LOST * chance * (1.0 + parts / (1.0 - parts)) + LOST_PART * before.held_out
         return lost, spread
-
-    def _follows_motion(self, residual: Array, effect: Effect) -> bool:
-        """Whether a line sits among the harmonics of a motion that repeats, and does not stand out of those beside it.
-
-        What the model lacks repeats with the motion, so it has all of these harmonics; a clock of its own has one line.
-        Near the motion's own frequencies no data of that motion can tell one from the other.
-        """
-        (hz,) = effect.shape
-        for segment, span in zip(self.regression.segments, self.regression.spans, strict=True):
-            if segment.recording.period_s is None:
-                continue
-            left = residual[:, span]
-            harmonics = round(hz * segment.recording.period_s) + np.arange(-BESIDE, BESIDE + 1)
-            harmonics = harmonics[(harmonics > 0) & (harmonics != round(hz * segment.recording.period_s))]
-            lines = np.append(harmonics / segment.recording.period_s, hz)
-            tapered = left * np.hanning(len(segment.time))
-            power = np.array([(np.abs(tapered @ np.exp(-2j * np.pi * f * segment.time)) ** 2).sum() for f in lines])
-            if power[-1] < STANDS_OUT * np.median(power[:-1]):
-                return True
-        return False
 
     def _neighbours(self, effect: Effect) -> list[Effect]:
         """The effect with each free shape parameter a little larger, then a little smaller."""

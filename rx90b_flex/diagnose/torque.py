@@ -286,10 +286,15 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
 
     def unsure(self, model: TorqueModel, trial: TorqueTrial) -> str:
         found = [find(model, e) for e in trial.effects]
-        if not any(_certain(model.identified, e) for e in found):
+        if not any(self._is_sure(model, e) for e in found):
             return "with everything fitted again none of its values is certain"
         unknown = [_unknown(model.identified, e) for e in found]
         return f"this log does not tell its {unknown[0]}" if all(unknown) else ""
+
+    def _is_sure(self, model: TorqueModel, effect: Effect) -> bool:
+        """Whether any of its values is, or all of it beside frictions that differ between recordings: to a fit these are noise."""
+        search = self.search(model)
+        return _certain(model.identified, effect) or (search.frictions_differ and search.without(effect).accepted)
 
     def _not_missed(self, model: TorqueModel, steps: Sequence[Addition[TorqueTrial]]) -> Addition[TorqueTrial] | None:
         """The first addition with a name that is not possible, or of which a model tells no value, or quite another one, or hardly
@@ -300,7 +305,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
                 continue
             if not _physical(named):
                 return step
-            untold = _untold(model.identified, step.trial.effect, named)
+            untold = not self._is_sure(model, named) or _untold(model.identified, step.trial.effect, named)
             if not (untold or self.search(model).restored(named)):
                 continue
             less = self._less(model, named)
@@ -552,9 +557,8 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         less, more = (m.told.validation for m in (without, model))
         if not more.worse_than(less):
             return None
-        if more.relative_error < WORSE * less.relative_error and helps_beside_it(
-            model.identified, without.identified, self.data.held_out
-        ):
+        little = more.relative_error < WORSE * less.relative_error
+        if little and helps_beside_it(model.identified, without.identified, self.data.held_out):
             return None
         between = f"{less.relative_error:.4f} -> {more.relative_error:.4f}"
         found = self.data.rise(without, model)
@@ -748,10 +752,10 @@ def _certain(model: Identification, effect: Effect) -> bool:
 
 
 def _untold(model: Identification, before: Effect, now: Effect) -> bool:
-    """Whether no value of an effect is certain, or known at all, or they are not what they were before."""
+    """Whether no value of an effect is known, or they are not what they were before."""
     if all(e.value is None for e in model.estimates(model.effects.index(now))):
         return True
-    if not _certain(model, now) or _unknown(model, now):
+    if _unknown(model, now):
         return True
     # their size: a phase turns with the order
     sizes = np.linalg.norm(before.coefficients), np.linalg.norm(now.coefficients)
