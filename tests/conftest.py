@@ -26,9 +26,12 @@ def pytest_collection_finish() -> None:
 
 
 class ByValues(LoadScopeScheduling):
-    """Tests of a file with the same parameters to one worker: what a fixture makes for them is made once."""
+    """Tests of a group, or of a file with the same parameters, to one worker: what a fixture makes for them is made once."""
 
     def _split_scope(self, nodeid: str) -> str:
+        _, marked, group = nodeid.rpartition("@")
+        if marked and "]" not in group:
+            return group
         file, _, test = nodeid.partition("::")
         return f"{file}[{test.partition('[')[2]}"
 

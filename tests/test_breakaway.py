@@ -7,7 +7,7 @@ from pathlib import Path
 import independent as ind
 import numpy as np
 import pytest
-from data_folder import kr300_without
+from real_loops import kr300_closed
 from test_first_moves import COULOMB, CUTOFF_HZ, DECLARED, NOISE, RATE_HZ, STRIBECK, VISCOUS, dry, started
 
 import rx90b_flex as rf
@@ -125,11 +125,12 @@ def test_a_law_steps_as_its_columns_say(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("kr300_encoders")
 def test_each_recording_of_a_real_robot_tells_how_the_others_break_away():
     """Axes 2 and 3 of a KR300, whichever of its three recordings is held out."""
     found = []
     for held_out in "ABC":
-        result = rf.close_loop(kr300_without(held_out))
+        result = kr300_closed(held_out)
         assert result.after.validation.relative_error < 0.55 * result.before.validation.relative_error
         assert result.moving.after < 0.75 * result.moving.before
         own = {e.effect.joints[0]: e.effect for e in result.effects if e.effect.type_name() == "breakaway_friction"}

@@ -8,7 +8,7 @@ from pathlib import Path
 import independent as ind
 import numpy as np
 import pytest
-from data_folder import data_folder
+from real_loops import closed_loop
 
 import rx90b_flex as rf
 
@@ -96,6 +96,7 @@ def test_frictions_that_differ_get_no_name_by_themselves(tmp_path, seed):
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("emps")
 def test_a_real_drive_rubs_more_in_the_recording_that_was_not_fitted():
-    (words,) = said(rf.close_loop(data_folder("emps") / "campaign.toml"))
+    (words,) = said(closed_loop("emps"))
     assert "recording test_pulses " in words and " by +2." in words

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from data_folder import data_folder, kr300_without
+from real_loops import closed_loop, kr300_closed
 
 import rx90b_flex as rf
 from rx90b_flex.diagnose.identified import identified_robot, with_possible_values
@@ -92,9 +93,9 @@ def test_the_written_declared_robot_replayed_has_its_error(declared, tmp_path, m
     assert errors.relative_error == pytest.approx(declared.errors.relative_error, rel=1e-6)
 
 
-@pytest.fixture(scope="module", params=NAMES)
+@pytest.fixture(params=[pytest.param(name, marks=pytest.mark.xdist_group(name)) for name in NAMES])
 def closed(request: pytest.FixtureRequest) -> rf.ClosedLoop:
-    return rf.close_loop(data_folder(request.param) / "campaign.toml")
+    return closed_loop(request.param)
 
 
 @pytest.mark.slow
@@ -130,11 +131,11 @@ def test_gains_of_wrong_torque_constants_are_those_that_torque_sensors_say(close
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("kr300_encoders")
 @pytest.mark.parametrize("held_out", ("A", pytest.param("B", marks=pytest.mark.long)))
 def test_no_held_out_error_grows_with_another_recording_held_out_nor_closing_again(held_out, tmp_path):
     """Closed again on the robot that was written the error is what it was, and next to nothing is found that changes it."""
-    campaign = kr300_without(held_out)
-    closed = rf.close_loop(campaign)
+    campaign, closed = kr300_without(held_out), kr300_closed(held_out)
     assert closed.after.validation.relative_error <= closed.before.validation.relative_error
     write_result(closed, tmp_path)
     written = {"robot": str(tmp_path / "robot.toml"), "robot_source": tmp_path / "robot.toml"}

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from data_folder import tx40_folder
+from real_loops import closed_loop
 from scipy import signal
 
 import rx90b_flex as rf
@@ -20,12 +21,15 @@ from rx90b_flex.diagnose.output import write_result
 from rx90b_flex.effects.log_effect import between
 
 BYTES = 2e9
-pytestmark = pytest.mark.slow  # the coupling where it is declared: test_tx40_identification.py
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.xdist_group("tx40"),
+]  # the coupling where it is declared: test_tx40_identification.py
 
 
 @pytest.fixture(scope="module")
 def result() -> rf.ClosedLoop:
-    return rf.close_loop(tx40_folder() / "campaign.toml")
+    return closed_loop("tx40")
 
 
 def of_type(result: rf.ClosedLoop, kind: str) -> list[FoundEffect]:
