@@ -9,6 +9,7 @@ import numpy as np
 from rx90b_flex.diagnose.faults.columns_in_one import name_of, standing_apart
 from rx90b_flex.diagnose.faults.look import Hypothesis, Look
 from rx90b_flex.diagnose.faults.rigid_fit import FLOOR, RIDGE
+from rx90b_flex.diagnose.faults.warm import of_friction
 from rx90b_flex.effects.motion import Array, Mask
 
 SMALLEST_S = 0.05  # below it a delay of filters and buses, which the loop finds as an effect
@@ -48,7 +49,9 @@ def _moves(look: Look) -> Iterator[Mask]:
     if joints > 1:
         yield from (np.tile(own, (tracks, 1)) for own in in_turn[0])
     if tracks > 1:
-        yield from (np.tile(own[:, None], (1, joints)) for own in in_turn[1])
+        # a warmer robot rubs less with its speed, as torques that come later do where gravity is most of them
+        colder = np.flatnonzero(~of_friction(look).warm)
+        yield from (np.tile(in_turn[1][r][:, None], (1, joints)) for r in colder)
     if joints > 1 and tracks > 1:
         yield from (np.outer(in_turn[1][r], own) for r in standing_apart(look) for own in in_turn[0])
 
