@@ -21,10 +21,8 @@ from rx90b_flex.diagnose.output import write_result
 from rx90b_flex.effects.log_effect import between
 
 BYTES = 2e9
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.xdist_group("tx40"),
-]  # the coupling where it is declared: test_tx40_identification.py
+# the coupling where it is declared: test_tx40_identification.py
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("tx40")]
 
 
 @pytest.fixture(scope="module")

@@ -84,13 +84,12 @@ def other_friction(
     OtherFriction
         One a recording that has such joints.
     """
-    rubbing = [e for e in model.effects if _rubs(e)]
-    if not rubbing:
+    frictions = _frictions(model, regression.with_model(model.link_parameters, model.effects))
+    if not frictions:
         return
-    seen = regression.with_model(model.link_parameters, model.effects)
-    friction = np.zeros_like(residual)
-    for effect in rubbing:
-        friction += (seen.columns(effect) @ effect.known_coefficients())[:, : residual.shape[1]]
+    friction = np.zeros((len(residual), len(regression.rows)))
+    for rows, torque in frictions:
+        friction[:, rows] += torque
     for name, span, segment in zip(names, regression.spans, regression.segments, strict=True):
         speed = np.abs(segment.velocity)
         each = [
@@ -106,7 +105,7 @@ def other_friction(
 def with_changes(model: Identification, count: int) -> tuple[ColumnsByJoint, Array]:
     """Columns of a model with changes of its frictions from recording to recording behind them.
 
-    None where no friction of no recording differs. A robot that is warmer is so in all its drives: if one differs, all may. The sum
+    None where no friction differs in any recording. A robot that is warmer is so in all its drives: if one differs, all may. The sum
     of a friction's changes over all recordings is zero: what these have in common is the model's.
 
     Parameters
@@ -170,7 +169,9 @@ def _apart(model: Identification, frictions: Sequence[tuple[Indices, Array]]) ->
     """
     recordings = list(zip(model.regression.spans, model.regression.segments, strict=True))
     by = np.zeros(len(recordings))
-    for rows, torque in frictions if len(recordings) > 1 else ():
+    if len(recordings) < 2:
+        return np.zeros(0, dtype=np.intp)
+    for rows, torque in frictions:
         left = model.residual[:, rows]
         parts = [_part(torque[span].ravel(), left[span].ravel(), _blocks(s)) for span, s in recordings]
         by = np.maximum(by, [abs(change) / max(LEAST, SURE * std) for change, std in parts])

@@ -50,8 +50,8 @@ def _moves(look: Look) -> Iterator[Mask]:
         yield from (np.tile(own, (tracks, 1)) for own in in_turn[0])
     if tracks > 1:
         # a warmer robot rubs less with its speed, as torques that come later do where gravity is most of them
-        colder = np.flatnonzero(~of_friction(look).warm)
-        yield from (np.tile(in_turn[1][r][:, None], (1, joints)) for r in colder)
+        as_warm = np.flatnonzero(~of_friction(look).warm)
+        yield from (np.tile(in_turn[1][r][:, None], (1, joints)) for r in as_warm)
     if joints > 1 and tracks > 1:
         yield from (np.outer(in_turn[1][r], own) for r in standing_apart(look) for own in in_turn[0])
 
