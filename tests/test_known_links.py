@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import independent as ind
@@ -92,8 +93,14 @@ def test_right_links_are_not_doubted(tmp_path: Path) -> None:
     assert list(result.effects) == [] and not any("declared as known" in c for c in result.cautions)
 
 
-def carried(folder: Path, mass: float, centre: tuple[float, float, float], stated: float = 0.0) -> Path:
-    """A UR5 of known links with a mass at its tip, of which so much is stated."""
+def carried(
+    folder: Path,
+    mass: float,
+    centre: tuple[float, float, float],
+    stated: float = 0.0,
+    said: tuple[float, float, float] | None = None,
+) -> Path:
+    """A UR5 of known links with a mass at its tip, of which so much is stated, there or elsewhere."""
     arm, rng, noise = ind.ur5(), np.random.default_rng(2), 0.03 * np.array([1.0, 20.0, 5.0, 1.0, 1.0, 1.0])
     runs = []
     for role in ("identification", "identification", "validation"):
@@ -107,7 +114,7 @@ def carried(folder: Path, mass: float, centre: tuple[float, float, float], state
     robot.write_text(f'tip_frame = "ee_link"\n{robot.read_text()}')
     if stated:
         head, *recordings = path.read_text().split("[[recording]]")
-        payload = f"payload = {{ mass = {stated}, centre = {list(centre)} }}\n"
+        payload = f"payload = {{ mass = {stated}, centre = {list(said or centre)} }}\n"
         path.write_text("[[recording]]".join([head, *(r + payload for r in recordings)]))
     return path
 
@@ -138,3 +145,59 @@ def test_a_payload_and_what_a_stated_one_lacks_is_a_payload_and_no_gain_of_all_m
     assert mass.std < 0.01
     for found, true in zip(place, centre, strict=True):
         assert found.value is not None and abs(found.value - true) < 0.002
+
+
+def _numbers(message: str) -> tuple[float, float, list[float]]:
+    """Of a stated payload that is another one: kg, std, and the place in m."""
+    found = re.search(r"the torques go with (\S+) kg \(std (\S+) kg\) at \((.*?)\) m", message)
+    assert found is not None, message
+    return float(found[1]), float(found[2]), [float(x) for x in found[3].split(",")]
+
+
+AT = (0.02, -0.03, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("mass", "stated", "said"),
+    [
+        (1.0, 2.0, AT),
+        pytest.param(2.4, 2.5, AT, marks=pytest.mark.slow),
+        pytest.param(0.5, 3.0, AT, marks=pytest.mark.slow),
+        pytest.param(3.0, 2.0, AT, marks=pytest.mark.slow),
+        pytest.param(2.0, 2.0, (0.02, -0.03, 0.2), marks=pytest.mark.slow),
+    ],
+)
+def test_a_payload_that_is_not_the_stated_one_is_said_and_is_no_gain_of_motors(
+    tmp_path: Path, mass: float, stated: float, said: tuple[float, float, float]
+) -> None:
+    checked = rf.check(carried(tmp_path, mass, AT, stated, said))
+    (fault,) = checked.data_faults
+    assert fault.kind == "kinematics" and checked.usable == (mass > stated)
+    found, std, place = _numbers(fault.message)
+    assert abs(found - mass) < max(4.0 * std, 0.02) and np.abs(np.array(place) - AT).max() < 0.005
+    assert mass == stated or fault.factor == pytest.approx(stated / mass, rel=0.03)
+
+
+def test_a_payload_as_stated_is_no_fault(tmp_path: Path) -> None:
+    assert rf.check(carried(tmp_path, 2.0, AT, 2.0)).data_faults == ()
+
+
+@pytest.mark.slow
+def test_a_stated_payload_that_is_not_there_is_said(tmp_path: Path) -> None:
+    (fault,) = rf.check(carried(tmp_path, 1e-9, AT, 2.0)).data_faults
+    assert "the torques go with none" in fault.message and not fault.usable and fault.factor is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("joint", [3, 4, 5])
+@pytest.mark.parametrize("lacks", ["gain", "spring"])
+def test_what_one_joint_lacks_is_no_other_payload(tmp_path: Path, joint: int, lacks: str) -> None:
+    """A stated payload tells a motor's gain: it is not what is wrong where one joint's torque alone is off."""
+    path = carried(tmp_path, 2.0, AT, 2.0)
+    for log in sorted(tmp_path.glob("log_*.csv")):
+        rows = np.loadtxt(log, delimiter=",", skiprows=1)
+        torque, angle = rows[:, 7 + joint], rows[:, 1 + joint]
+        rows[:, 7 + joint] = 1.4 * torque if lacks == "gain" else torque + 3.0 * np.cos(angle)
+        header = log.read_text().splitlines()[0]
+        np.savetxt(log, rows, fmt="%.17g", delimiter=",", header=header, comments="")
+    assert not any("payload" in f.message for f in rf.check(path).data_faults)

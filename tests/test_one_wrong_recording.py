@@ -27,7 +27,7 @@ def campaign(
     torque: float = 1.0,
     position: float = 1.0,
     load_kg: Sequence[float] = (0.0, 0.0, 0.0),
-    stated: bool = False,
+    stated: Sequence[float] = (0.0, 0.0, 0.0),
     rubs: Sequence[float] = (1.0, 1.0, 1.0),
 ) -> Path:
     """Three recordings, of which one has a joint's torque or position so many times what it is; or each another friction."""
@@ -45,11 +45,10 @@ def campaign(
         runs.append(made)
     declared = [{"type": t, "joint": j} for j in ARM.joints for t in ("coulomb_friction", "viscous_friction")]
     path = ind.write_files(folder, ARM, declared, runs, cutoff_hz=10.0)
-    if stated:
-        for n, kg in enumerate(load_kg, start=1):
-            said = f'file = "log_{n}.csv"'
-            payload = f"{said}\npayload = {{ mass = {kg}, centre = [0.0, 0.05, 0.1] }}"
-            path.write_text(path.read_text().replace(said, payload if kg else said))
+    for n, kg in enumerate(stated, start=1):
+        said = f'file = "log_{n}.csv"'
+        payload = f"{said}\npayload = {{ mass = {kg}, centre = [0.0, 0.05, 0.1] }}"
+        path.write_text(path.read_text().replace(said, payload if kg else said))
     return path
 
 
@@ -89,7 +88,32 @@ def test_another_load_in_one_recording_is_said_and_is_nothing_once_it_is_stated(
     checked = rf.check(campaign(tmp_path, seed, load_kg=loads))
     (fault,) = checked.data_faults
     assert f"log_{seed % 3 + 1}.csv was made with another load" in fault.message and checked.usable
-    assert rf.check(campaign(tmp_path, seed, load_kg=loads, stated=True)).data_faults == ()
+    assert rf.check(campaign(tmp_path, seed, load_kg=loads, stated=loads)).data_faults == ()
+
+
+@pytest.mark.parametrize(
+    ("load_kg", "stated", "where"),
+    [
+        ((3.0, 0.0, 3.0), (6.0, 0.0, 6.0), "log_1.csv, log_3.csv"),
+        pytest.param((0.0, 6.0, 0.0), (0.0, 4.0, 0.0), "log_2.csv", marks=pytest.mark.slow),
+        pytest.param((2.0, 3.0, 0.0), (2.0, 6.0, 0.0), "log_2.csv", marks=pytest.mark.slow),
+    ],
+)
+def test_another_load_than_is_stated_is_told_beside_the_other_recordings(tmp_path, load_kg, stated, where):
+    checked = rf.check(campaign(tmp_path, 1, load_kg=load_kg, stated=stated))
+    (fault,) = checked.data_faults
+    assert f"{where}: stated is a payload of" in fault.message and not checked.usable
+    true, said = next((a, b) for a, b in zip(load_kg, stated, strict=True) if a != b)
+    assert fault.factor == pytest.approx(said / true, rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("load_kg", [(0.0, 3.0, 3.0), (2.0, 0.0, 5.0)])
+def test_a_wrong_column_of_recordings_that_state_other_loads_is_named(tmp_path, load_kg):
+    """Where loads differ and one recording stands apart, it was held against the others without what it states."""
+    checked = rf.check(campaign(tmp_path, 1, where=1, joint=2, torque=-1.0, load_kg=load_kg, stated=load_kg))
+    (fault,) = checked.data_faults
+    assert (fault.kind, fault.joints) == ("reversed_sign", (ARM.joints[2],)) and "log_2.csv" in fault.message
 
 
 @pytest.mark.parametrize("seed", [1, *SLOW])

@@ -24,6 +24,7 @@ from rx90b_flex.diagnose.faults.sample import Reading, Sample
 from rx90b_flex.diagnose.faults.sensors import sensor_faults
 from rx90b_flex.diagnose.faults.sizes import impossible_sizes
 from rx90b_flex.diagnose.faults.speeds import speeds
+from rx90b_flex.diagnose.faults.stated_load import stated_load
 from rx90b_flex.diagnose.faults.stuck import (
     NEVER,
     frozen,
@@ -246,12 +247,13 @@ def _compared(
     campaign: Campaign, recordings: Sequence[Recording], rigid: Robot, faults: list[DataFault], constant: Mask
 ) -> tuple[Look, list[DataFault]]:
     """What may be wrong beside what shows in the log itself, and the look at the data with it mended."""
-    found, look = faults_of(_look(campaign, recordings, rigid))
+    other_load, look = stated_load(_look(campaign, recordings, rigid))
+    found, look = faults_of(look)
     coarse = Coarse(look, recordings)
     faults = [*faults, *clipped(recordings, coarse), *frozen(recordings, coarse), *map(_fault, found)]
     goes = moves_within(recordings) > NEVER
     lost = unrelated(campaign.joints, *look.errors_at_least(), goes, constant)
-    faults += list(impossible_sizes(look, [*faults, *lost]))
+    faults += [*impossible_sizes(look, [*faults, *lost]), *([other_load] if other_load else [])]
     faults = [f for f in faults if not _gain_is_open(f, campaign)]
     at_rest = AtRest.of(look, recordings)
     faults += [*stuck(recordings, np.sqrt(look.fit().error), at_rest), *stuck_in_one(recordings, look, at_rest)]

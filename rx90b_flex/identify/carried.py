@@ -9,6 +9,8 @@ from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot
 from rx90b_flex.signals.stated import FlangeLoad
 
+LINK = 10  # parameters of a body
+
 
 def carried_parameters(robot: Robot, load: FlangeLoad) -> Array:
     """Change of a robot's link parameters by a point mass that is known, shape (10 * bodies,).
@@ -28,9 +30,16 @@ def carried_parameters(robot: Robot, load: FlangeLoad) -> Array:
         No joint moves the tip frame, so the load does not show in any torque.
     """
     frame = robot.model.frames[robot.model.getFrameId(robot.tip_frame)]
+    at = LINK * link_of_tip(robot)
+    out = np.zeros(LINK * len(robot.bodies))
+    out[at : at + LINK] = load.mass * unit_body(frame.placement.act(np.array(load.centre)))
+    return out
+
+
+def link_of_tip(robot: Robot) -> int:
+    """Number of the link that the tip frame belongs to, among `robot.bodies`; for errors see `carried_parameters`."""
+    frame = robot.model.frames[robot.model.getFrameId(robot.tip_frame)]
     places = [i for i, (_, joint) in enumerate(robot.bodies) if joint == frame.parentJoint]
     if not places:
         raise ValueError(f"payload: no joint of {robot.name} moves its tip frame {robot.tip_frame!r}")
-    out = np.zeros(10 * len(robot.bodies))
-    out[10 * places[0] : 10 * places[0] + 10] = load.mass * unit_body(frame.placement.act(np.array(load.centre)))
-    return out
+    return places[0]

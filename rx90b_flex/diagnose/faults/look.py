@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -23,6 +23,7 @@ from rx90b_flex.diagnose.faults.rigid_fit import (
 from rx90b_flex.diagnose.faults.sample import Reading, Sample
 from rx90b_flex.effects.motion import Array, Mask
 from rx90b_flex.robot import Robot
+from rx90b_flex.signals.stated import FlangeLoad
 
 KEPT = 3  # motions whose columns are kept: the present one, and those that a refinement goes back to
 ENOUGH = 10.0  # times as many independent values of torques as columns
@@ -138,6 +139,11 @@ class Look:
     def thinned(self, factor: int) -> Look:
         """The same look at every so many-th row."""
         return dataclasses.replace(self, sample=self.sample.thinned(factor), _columns={}, _products={}, ratios={})
+
+    def stating(self, load: FlangeLoad | None, recordings: Collection[int]) -> Look:
+        """The same look at recordings of which some state another payload."""
+        sample = self.sample.stating(load, recordings)
+        return dataclasses.replace(self, sample=sample, _columns={}, _products={}, first_gains={})
 
     @cached_property
     def beside(self) -> Look:

@@ -12,7 +12,7 @@ from scipy import linalg
 from rx90b_flex.diagnose.faults.sample import FOLDS, Reading, Sample, other_effects
 from rx90b_flex.effects import Effect, Motion
 from rx90b_flex.effects.motion import Array, Indices
-from rx90b_flex.identify.carried import carried_parameters
+from rx90b_flex.identify.carried import LINK, carried_parameters
 
 RIDGE = 1e-6  # of a column's square: holds what the data do not tell near the URDF's values
 NEAR = 1.0  # the same where they may be a little off
@@ -29,7 +29,6 @@ ILL = 0.3**2  # squared relative error from which a fit tells nothing of a joint
 BEYOND_ERROR = 0.5, 1.0
 # correlation of a joint's torque with its velocity, negative, from which it drives it, and drives it surely
 AGAINST = 0.1, 0.3
-LINK = 10  # parameters of a body
 PER_JOINT = 5  # drive inertia, viscous, dry, offset, viscous by direction
 FRICTION = (1, 2, 4)  # of these
 
@@ -98,7 +97,7 @@ class Products:
         ridge = np.full(len(prior), RIDGE)
         if reading.robot.inertial_parameters == "known":
             ridge[:links] = KNOWN
-        if any(t.load for t in sample.tracks):
+        if sample.loaded:
             load = links + PER_JOINT * n + sum(len(e.coefficients) for e in other_effects(reading.robot))
             prior[load], ridge[load] = 1.0, KNOWN
         return Products(
@@ -160,7 +159,7 @@ def columns_of(sample: Sample, reading: Reading) -> Array:
             [a[:, j], v[:, j], dry[:, j], np.ones(len(v)), np.abs(v[:, j])], axis=1
         )
     more = [_started(e, seen).columns(seen)[:, rows] for e in other_effects(robot)]
-    if any(t.load for t in sample.tracks):
+    if sample.loaded:
         stated = [
             np.zeros(links.shape[2]) if t.load is None else carried_parameters(robot, t.load) for t in sample.tracks
         ]

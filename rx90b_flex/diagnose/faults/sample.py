@@ -228,6 +228,8 @@ class Sample:
     fold : array of int, shape (R,)
         Which block a row is held out with.
     cutoff_hz : float
+    loaded : bool
+        Whether any recording states a load, were it one that is left out here.
     """
 
     joints: tuple[str, ...]
@@ -240,6 +242,7 @@ class Sample:
     tracks: tuple[Track, ...]
     fold: Indices
     cutoff_hz: float
+    loaded: bool = False
 
     @staticmethod
     def of(campaign: Campaign, recordings: Sequence[Recording]) -> Sample:
@@ -255,7 +258,9 @@ class Sample:
 
     def with_rows(self, recordings: Sequence[Recording], rows: Sequence[Indices]) -> Sample:
         """The sample of the same recordings with some more rows of each, but for those at its ends that the low-pass spoils."""
-        return Sample._made(self.joints, recordings, self.cutoff_hz, rows)
+        made = Sample._made(self.joints, recordings, self.cutoff_hz, rows)
+        tracks = (dataclasses.replace(t, load=own.load) for t, own in zip(made.tracks, self.tracks, strict=True))
+        return dataclasses.replace(made, tracks=tuple(tracks), loaded=self.loaded)
 
     @staticmethod
     def _made(
@@ -272,7 +277,9 @@ class Sample:
         )
         starts = np.cumsum([0, *blocks[:-1]]).repeat([len(t.rows) for t in tracks])
         left = _left(q, _spans(tracks))
-        return Sample(joints, q, v, a, dry, wound, left, tracks, (fold + starts) % FOLDS, cutoff)
+        return Sample(
+            joints, q, v, a, dry, wound, left, tracks, (fold + starts) % FOLDS, cutoff, any(t.load for t in tracks)
+        )
 
     def torque_of(self, reading: Reading) -> tuple[Array, Array]:
         """Torque columns at the times of a reading, (R, joints), and which rows lie inside the logs, (R,) bool."""
@@ -311,6 +318,12 @@ class Sample:
         rows = np.concatenate([np.arange(span.start, span.stop)[::factor] for span in self.spans])
         arrays = {name: getattr(self, name)[rows] for name in ARRAYS}
         return dataclasses.replace(self, **arrays, tracks=tracks)
+
+    def stating(self, load: FlangeLoad | None, recordings: Collection[int]) -> Sample:
+        """With another payload in some recordings."""
+        each = enumerate(self.tracks)
+        tracks = tuple(dataclasses.replace(t, load=load) if r in recordings else t for r, t in each)
+        return dataclasses.replace(self, tracks=tracks, loaded=any(t.load for t in tracks))
 
     def only(self, recording: int) -> Sample:
         """Rows of one recording alone."""
