@@ -48,6 +48,7 @@ from rx90b_flex.diagnose.torque import (
 )
 from rx90b_flex.diagnose.torque_units import Torques, sensor_words
 from rx90b_flex.diagnose.trial import TorqueTrial
+from rx90b_flex.diagnose.unlike_noise import Bursts, Course, unlike_noise
 from rx90b_flex.diagnose.verdict import Remains
 from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
 from rx90b_flex.early import check_jobs
@@ -536,7 +537,8 @@ class _Ended:
         known, beyond = explainable if isinstance(explainable, Explainable) else None, self._beyond_model()
         doubtful = bool(cautions) or in_doubt or (floor is None and bool(beyond))
         happened = _events(campaign.joints, predictions, model.effects)
-        drifts, odd = _slow(campaign, predictions), [e for e in happened if not e.held_by]
+        odd = [e for e in happened if not e.held_by]
+        drifts = _no_noise(campaign, predictions, odd)
         spread, found = np.concatenate([p.torque for p in predictions]).std(axis=0), bool(standing.steps)
         scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
         rest = (where, doubtful, spread, odd, bool(drifts or seldom), self._curved)
@@ -733,14 +735,17 @@ def _remembering(effects: Sequence[Effect]) -> dict[str, str]:
     return {j: e.type_name() for e in effects if e.traits.remembers for j in e.joints}
 
 
-def _slow(campaign: Campaign, predictions: Sequence[Prediction]) -> tuple[Slow | SlowAtRest, ...]:
+def _no_noise(
+    campaign: Campaign, predictions: Sequence[Prediction], odd: Sequence[Events]
+) -> tuple[Slow | SlowAtRest | Course | Bursts, ...]:
+    """What of held-out errors is too slow for noise, or comes in bursts that are no single events."""
     rates = [p.recording.sample_rate_hz for p in predictions]
-    torque, left = [p.torque for p in predictions], [p.torque - p.after for p in predictions]
-    errors = ErrorsInTime.of(
-        campaign.joints, rates, campaign.cutoff_hz, torque, left, [p.velocity for p in predictions]
-    )
-    at_rest = errors.at_rest()
-    return (*errors.slow(), *([] if at_rest is None else [at_rest]))
+    torque, left, v = zip(*((p.torque, p.torque - p.after, p.velocity) for p in predictions), strict=True)
+    errors = ErrorsInTime.of(campaign.joints, rates, campaign.cutoff_hz, torque, left, v)
+    slow, at_rest = errors.slow(), errors.at_rest()
+    known = {x.joint for x in slow} | {x.joint for x in odd}
+    others = [x for x in unlike_noise(campaign.joints, rates, torque, left, v) if x.joint not in known]
+    return (*slow, *([] if at_rest is None else [at_rest]), *others)
 
 
 def _before_moves(predictions: Sequence[Prediction]) -> tuple[str, ...]:
