@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import rx90b_flex as rf
+from rx90b_flex.diagnose.check import _look
+from rx90b_flex.diagnose.faults.gains import small_gain
 from rx90b_flex.diagnose.search import Search
 from rx90b_flex.effects import Sites
 from rx90b_flex.effects.payload import Payload
@@ -201,3 +203,18 @@ def test_what_one_joint_lacks_is_no_other_payload(tmp_path: Path, joint: int, la
         header = log.read_text().splitlines()[0]
         np.savetxt(log, rows, fmt="%.17g", delimiter=",", header=header, comments="")
     assert not any("payload" in f.message for f in rf.check(path).data_faults)
+
+
+def test_a_gain_that_is_a_little_off_is_what_another_scale_of_an_angle_must_explain_more_than(tmp_path: Path) -> None:
+    path = carried(tmp_path, 2.0, AT, 2.0)
+    for log in sorted(tmp_path.glob("log_*.csv")):
+        rows = np.loadtxt(log, delimiter=",", skiprows=1)
+        rows[:, 7 + 2] *= 0.95
+        header = log.read_text().splitlines()[0]
+        np.savetxt(log, rows, fmt="%.17g", delimiter=",", header=header, comments="")
+    loaded = load_campaign(path)
+    look = _look(loaded, loaded.recordings, rf.load_robot(loaded.robot_source).rigid().restricted(loaded.joints))
+    gain, _ = look.refined(small_gain(look, loaded.joints[2]))
+    assert gain.factor == pytest.approx(0.95, abs=0.005)
+    assert look.fit(gain.reading).score < look.fit().score - 0.5
+    assert not any(f.kind == "unit" for f in rf.check(path).data_faults)

@@ -10,7 +10,7 @@ import numpy as np
 
 from rx90b_flex.diagnose.faults.carried import carried_motors
 from rx90b_flex.diagnose.faults.columns_in_one import exchanged_in_one, rates_in_one, units_in_one, zeros_in_one
-from rx90b_flex.diagnose.faults.gains import torque_gains
+from rx90b_flex.diagnose.faults.gains import small_gain, torque_gains
 from rx90b_flex.diagnose.faults.in_one import other_loads, reversed_in_one, scaled_in_one
 from rx90b_flex.diagnose.faults.kinematics import a_little_off, axes, lengths, mountings, zeros
 from rx90b_flex.diagnose.faults.look import Hypothesis, Look
@@ -248,7 +248,7 @@ def _in_doubt(bases: _Bases, beside: Look, refined: _Refined) -> bool:
         return without
     gaining = after.error < GAINING * bases.fitted.error
     less = np.log((after.error + FLOOR) / (bare.error + FLOOR))[gaining].sum() > TIE
-    return bool(without and less) or (KINDS[rank] in RATIOS and _by_the_urdf(bases.look, chosen))
+    return bool(without and less) or (KINDS[rank] in RATIOS and _as_well(bases.look, chosen))
 
 
 def _one_ratio(refined: list[_Refined]) -> list[_Refined]:
@@ -264,11 +264,12 @@ def _one_ratio(refined: list[_Refined]) -> list[_Refined]:
     return [*others, (gain, rank, best, std)]
 
 
-def _by_the_urdf(look: Look, ratio: Hypothesis) -> bool:
-    """Whether a zero or a length of the URDF that is a little off does as well as another scale of an angle."""
+def _as_well(look: Look, ratio: Hypothesis) -> bool:
+    """Whether a zero or a length of the URDF that is a little off, or a gain of the torque, does as well as another angle's scale."""
     thin = look.thinned(THIN)
     least = thin.fit(ratio.reading).score + TIE
-    return any(thin.fit(thin.refined(h)[0].reading).score < least for h in a_little_off(thin))
+    others = (*a_little_off(thin), *(small_gain(thin, joint) for joint in ratio.joints))
+    return any(thin.fit(thin.refined(h)[0].reading).score < least for h in others)
 
 
 def _or_else(chosen: Hypothesis, alike: list[Hypothesis]) -> Hypothesis:
