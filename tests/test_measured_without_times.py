@@ -142,3 +142,9 @@ def test_times_in_milliseconds_are_guessed(tmp_path: Path) -> None:
     file = write(tmp_path / "tip.csv", place, 1e3 * time)
     with pytest.raises(ValueError, match=r"(1 place|\d\d? places) while .*look whether it is in ms$"):
         compare_measured(checked(), file)
+
+
+def test_a_table_without_any_place_is_refused_by_name(tmp_path: Path) -> None:
+    (tmp_path / "tip.csv").write_text("a,b\n1,2\n3,4\n")
+    with pytest.raises(ValueError, match=r"tip.csv: has none of the columns time, x, y, z, x_mm"):
+        compare_measured(checked(), tmp_path / "tip.csv")
