@@ -127,11 +127,21 @@ def test_standard_deviations_are_those_of_many_noisy_tables() -> None:
         (([30.0], [-20.0], 1.0), "antiresonances_hz"),
         (([30.0], [40.0], 1.0), "no positive stiffness"),
         (([30.0], [20.0], -1.0), "positive number"),
+        (([20.0, 25.0], [10.0, 30.0], 2.0), r"^antiresonance 2 \(30 Hz\) lies above resonance 2 \(25 Hz\)"),
+        (([20.0, 40.0], [10.0, 15.0], 2.0), r"^resonance 1 \(20 Hz\) lies above antiresonance 2 \(15 Hz\)"),
+        (([40.0, 20.0], [10.0, 15.0], 2.0), r"^resonance 1 \(20 Hz\) lies above antiresonance 2 \(15 Hz\)"),
     ],
 )
 def test_bad_input_is_refused_by_name(arguments: tuple[object, ...], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         drive_parameters(*arguments)  # type: ignore[arg-type]
+
+
+def test_frequencies_may_be_out_of_turn_by_their_noise() -> None:
+    free, locked = [20.0, 22.0], [10.0, 24.0]
+    assert drive_parameters(free, locked, drive_inertia=2.0, antiresonances_std_hz=[0.1, 1.0]).stiffness > 0.0
+    with pytest.raises(ValueError, match="antiresonance 2"):
+        drive_parameters(free, locked, drive_inertia=2.0, antiresonances_std_hz=[0.1, 0.1])
 
 
 # ---- truncation, table 5.2 ------------------------------------------------------------------------------------

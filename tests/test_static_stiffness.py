@@ -26,6 +26,7 @@ from rx90b_flex.simulate.static_rig import (
     static_rig,
 )
 from rx90b_flex.view.static_plots import static_test_figure
+from rx90b_flex.view.static_report import headline
 
 # Table 4.1, N m/rad: torsion, then the two bendings.
 TABLE_4_1 = {
@@ -399,3 +400,21 @@ def test_the_row_and_file_of_a_reading_that_stands_out_are_said(tmp_path: Path) 
     (tmp_path / "a.toml").write_text('[[test]]\ncoordinate = "hinge"\nfile = "a.csv"\n')
     (line,) = fit_tests(read_static_tests(tmp_path / "a.toml")).cautions
     assert line.startswith("a.csv, row 5: ")
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_loop_that_runs_the_wrong_way_round_is_said_to_be_a_drift(way: int, tmp_path: Path) -> None:
+    write(table(1e-5, np.random.default_rng(1), lag=way * 20.0), tmp_path / "a.csv")
+    (tmp_path / "a.toml").write_text('[[test]]\ncoordinate = "hinge"\nfile = "a.csv"\n')
+    result = fit_tests(read_static_tests(tmp_path / "a.toml"))
+    said = " ".join(headline(result))
+    assert ("friction takes part" in said) == (way == 1)
+    assert ("a.csv: the loop of loading and unloading runs the wrong way round" in said) == (way == -1)
+    assert len(result.cautions) == (way == -1)
+
+
+def test_a_lever_beside_moments_is_said_to_be_unused(tmp_path: Path) -> None:
+    write(table(1e-6, np.random.default_rng(0)), tmp_path / "a.csv")
+    (tmp_path / "a.toml").write_text('[[test]]\ncoordinate = "hinge"\nfile = "a.csv"\nlever_arm_m = 0.985\n')
+    (line,) = fit_tests(read_static_tests(tmp_path / "a.toml")).cautions
+    assert line == "a.toml: [[test]] 1 lever_arm_m: is not used, for a.csv gives moment_nm"

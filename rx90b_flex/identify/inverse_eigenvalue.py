@@ -13,6 +13,8 @@ from rx90b_flex.effects.motion import Array
 if TYPE_CHECKING:
     from rx90b_flex.identify.transfer_function import TransferFit
 
+OUT_OF_TURN = 0.05  # part of a frequency by which measured ones may be out of their order (table 6.4: 0.025)
+
 
 @dataclass(frozen=True)
 class DriveParameters:
@@ -65,8 +67,9 @@ def drive_parameters(
     Raises
     ------
     ValueError
-        Different numbers of frequencies, frequencies that are not positive, none or both inertias given, or
-        antiresonances that lie so high that the stiffness would be negative.
+        Different numbers of frequencies, frequencies that are not positive, none or both inertias given,
+        antiresonances that lie so high that the stiffness would be negative, or frequencies that do not alternate: each
+        antiresonance lies below its resonance and above the resonance before (5 % and three standard deviations are allowed).
     """
     w, mu = _frequencies("resonances_hz", resonances_hz), _frequencies("antiresonances_hz", antiresonances_hz)
     if len(w) != len(mu):
@@ -76,9 +79,24 @@ def drive_parameters(
     mu_std = _deviations("antiresonances_std_hz", antiresonances_std_hz, mu)
     if not (w**2).sum() > (mu**2).sum():
         raise ValueError("the antiresonances lie above the resonances: their squares leave no positive stiffness")
+    _refuse_out_of_turn(w, mu, w_std, mu_std)
     values, slopes = _drive(given, w, mu, rigid=drive_inertia is None)
     relative = np.concatenate([[inertia_std / given], w_std / w, mu_std / mu])
     return DriveParameters(*values.tolist(), *(values * np.linalg.norm(slopes * relative, axis=1)).tolist())
+
+
+def _refuse_out_of_turn(w: Array, mu: Array, w_std: Array, mu_std: Array) -> None:
+    by_w, by_mu = np.argsort(w), np.argsort(mu)
+    # antiresonance, resonance, antiresonance, ..., and their numbers
+    turn, std = (np.stack([a[by_mu], b[by_w]], axis=1).ravel() / (2 * np.pi) for a, b in ((mu, w), (mu_std, w_std)))
+    allowed = np.maximum(OUT_OF_TURN * turn[1:], 3.0 * np.hypot(std[1:], std[:-1]))
+    bad = np.flatnonzero(turn[:-1] - turn[1:] > allowed)
+    if len(bad):
+        k = int(bad[0])
+        names = [f"{'resonance' if i % 2 else 'antiresonance'} {i // 2 + 1} ({turn[i]:.4g} Hz)" for i in (k, k + 1)]
+        raise ValueError(
+            f"{names[0]} lies above {names[1]}; those of one drive alternate, an antiresonance first: one is missing or too many"
+        )
 
 
 def _drive(given: float, w: Array, mu: Array, rigid: bool) -> tuple[Array, Array]:

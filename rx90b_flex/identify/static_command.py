@@ -37,7 +37,7 @@ from rx90b_flex.identify.measured_stiffness import HingeStiffness, declared_stif
 from rx90b_flex.identify.static_stiffness import ROUNDING, StaticStiffness, fit_static_stiffness
 from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.showing import Showing
-from rx90b_flex.signals.static_test import StaticTest, read_static_table
+from rx90b_flex.signals.static_test import StaticTest, gives_moment, read_static_table
 from rx90b_flex.tip import jacobian_at
 
 KEYS = ("robot", "skip", "confidence", "test")
@@ -68,7 +68,7 @@ class StaticTests:
     skip : int
     confidence : float
     cautions : tuple of str
-        Levers that can hardly be.
+        Levers that can hardly be, or that are not used.
     """
 
     path: Path
@@ -128,7 +128,16 @@ def read_static_tests(path: Path) -> StaticTests:
         for test, lever in levers
         if lever > LONGEST_LEVER
     )
-    return StaticTests(path, robot, tests, files, skip, confidence, cautions)
+    return StaticTests(path, robot, tests, files, skip, confidence, (*cautions, *_unused_levers(path, sections)))
+
+
+def _unused_levers(path: Path, sections: list[TomlTable]) -> list[str]:
+    said = []
+    for test in sections:
+        key = next((key for key in ("lever_arm_m", "frame") if test.has(key)), None)
+        if key is not None and gives_moment(path.parent / test.text("file")):
+            said.append(f"{path.name}: {test.name} {key}: is not used, for {test.text('file')} gives moment_nm")
+    return said
 
 
 def _read_test(path: Path, table: TomlTable, robot: Robot | None) -> StaticTest:
@@ -225,6 +234,11 @@ def _cautions(
             said.append(
                 f"{file}: column 'deformation_rad' spans {span:.2g} rad ({np.degrees(span):.2g} degrees), more than a hinge bears; "
                 "look whether it is in degrees or mrad"
+            )
+        if fit.backwards:
+            said.append(
+                f"{file}: the loop of loading and unloading runs the wrong way round ({fit.hysteresis_area:.2g} ± "
+                f"{fit.hysteresis_std:.1g} J): that is no friction but a drift, of the camera say, or rows in another order than read"
             )
         if fit.outlier is not None:
             said.append(_stands_out(file, test, fit.outlier))

@@ -18,6 +18,8 @@ from rx90b_flex.signals.static_test import Mask, StaticTest
 
 SMALLEST_SLOPE = 1e-30  # rad per N m or N m per rad; below it, and above its inverse, is rounding
 OUTLIER = 0.01  # how often sound readings may hold one that stands out
+ALIKE = 0.01  # p-value below which loading and unloading are said to differ
+BACKWARDS = 3.0  # standard deviations of a loop's area below zero, from which it is said to run the wrong way round
 ROUNDING = 1e-12  # of the largest reading: what is less is no noise of a measurement
 
 Response = Literal["deformation", "moment"]
@@ -91,6 +93,16 @@ class StaticStiffness:
     hysteresis_area: float
     hysteresis_std: float
     outlier: int | None = None
+
+    @property
+    def differs(self) -> bool:
+        """Whether loading and unloading do, by more than chance."""
+        return self.p_value < ALIKE
+
+    @property
+    def backwards(self) -> bool:
+        """Whether their loop runs the wrong way round: a drift, for friction makes the deformation lag."""
+        return self.differs and self.hysteresis_area < -BACKWARDS * self.hysteresis_std
 
 
 def fit_static_stiffness(

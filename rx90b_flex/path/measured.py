@@ -6,8 +6,8 @@ A table of the tip's places (.csv, .csv.gz, .parquet) in the robot's base frame 
     time       s; optional, its zero anywhere
 
 With times both tips are compared at the same instant, after the clocks were brought together: the shift is the one that brings the
-two tips closest. Without, each place is compared with the nearest one of the predicted tip, and the deviation along the path is not
-known.
+two tips closest. Without, each place is compared with the nearest one of the predicted tip, in whatever order the places are
+(`pairing`), and the deviation along the path is not known.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from rx90b_flex.effects.motion import Array
@@ -27,19 +26,21 @@ from rx90b_flex.files.keys import suggestion
 from rx90b_flex.files.results import write_json
 from rx90b_flex.path.check import Deviation, PathCheck, across_axes
 from rx90b_flex.path.output import write_columns
+from rx90b_flex.path.pairing import WINDOW, Indices, in_order, nearest_on_path, unmeasured
 from rx90b_flex.path.planning import HOLD_S
 from rx90b_flex.showing import Showing
 from rx90b_flex.signals.tables import read_table
 
 FEWEST = 10  # places
 SHIFTS, SAMPLES = 401, 400  # of the first look for the clocks' shift
+MANY = 10.0  # times the run's length: times that span more may be ms
 FAR = 0.1  # of the path's length (m), and at least NEAR: a tip farther from the path was not on it, or in another frame
 NEAR = 0.02  # m
-WINDOW = 0.005  # m, and three times the step: how far ahead on the path the next place is looked for
 BESIDE = 0.1  # part that distance across counts where what is beside a place is looked for
 FINER = 20  # times the samples of the simulated tip
 GRID = 20000  # places of the path among which the nearest is looked for
-SEEN = 0.95  # of the path: a measurement of less is said to be one of a part
+HOLES = 3  # stretches that were not measured that a sentence names
+PAUSE = 5.0  # times the usual step of the clock: a longer one is a hole of the measurement
 
 Aligned = Literal["time", "path"]
 
@@ -58,8 +59,8 @@ class MeasuredTip(Showing):
     measured, predicted, difference : Deviation
         From the planned path, and measured less predicted.
     tolerance_mm : float
-    seen : float
-        Part of the path that was measured.
+    unmeasured_mm : tuple of (float, float)
+        Stretches of the path that were not measured: its ends, and holes.
     """
 
     file: Path
@@ -69,7 +70,12 @@ class MeasuredTip(Showing):
     predicted: Deviation
     difference: Deviation
     tolerance_mm: float
-    seen: float
+    unmeasured_mm: tuple[tuple[float, float], ...]
+
+    @property
+    def seen(self) -> float:
+        """Part of the path that was measured."""
+        return 1.0 - sum(b - a for a, b in self.unmeasured_mm) / self.measured.length_mm
 
     @property
     def tips(self) -> dict[str, Deviation]:
@@ -94,11 +100,17 @@ class MeasuredTip(Showing):
         return 1.0 - (self.difference.rms_across / max(self.measured.rms_across, 1e-12)) ** 2
 
     @property
+    def _part(self) -> str:
+        holes = [f"{a:.0f} to {b:.0f}" for a, b in self.unmeasured_mm]
+        named = ", ".join(holes[:HOLES]) + (f" and {len(holes) - HOLES} more" if len(holes) > HOLES else "")
+        return f" on the {100 * self.seen:.0f} % of the path that were measured (not on {named} mm)"
+
+    @property
     def sentence(self) -> str:
         """The verdict in words."""
         of = self.difference
         verdict = "within" if self.agrees else "not within"
-        part = "" if self.seen >= SEEN else f" on the {100 * self.seen:.0f} % of the path that were measured"
+        part = self._part if self.unmeasured_mm else ""
         return (
             f"The measured tip is up to {of.max_across:.3g} mm across from where it was predicted (at {of.worst_at_mm:.0f} mm along "
             f"the path), {verdict} {self.tolerance_mm:g} mm{part}; it strays from the path by up to "
@@ -129,7 +141,7 @@ def read_measured(file: str | os.PathLike[str]) -> tuple[Array, Array | None]:
         row = int(np.flatnonzero(np.diff(time) <= 0.0)[0]) + 2
         raise ValueError(f"{path}: column 'time', row {row}: does not grow")
     if len(place) < FEWEST:
-        raise ValueError(f"{path}: {len(place)} places; expected at least {FEWEST}")
+        raise ValueError(f"{path}: {_places(len(place))}; expected at least {FEWEST}")
     return place, time
 
 
@@ -174,7 +186,10 @@ def _at_times(result: PathCheck, file: Path, place: Array, time: Array) -> Measu
     last = min(planned.seam.duration_s, float(run.time[-1]) - HOLD_S)
     inside = (on >= 0.0) & (on <= last)
     if inside.sum() < FEWEST:
-        raise ValueError(f"{file}: {inside.sum()} places while the tip is on its path; expected at least {FEWEST}")
+        hint = _milliseconds(time, float(run.time[-1] - run.time[0]))
+        raise ValueError(
+            f"{file}: {_places(inside.sum())} while the tip is on its path; expected at least {FEWEST}{hint}"
+        )
     distance = planned.seam.motion(on[inside])
     predicted = _interpolate(on[inside] + HOLD_S, run.time, run.tip[:, :3, 3])
     point, tangent = planned.seam.pieces.at(distance)
@@ -182,9 +197,21 @@ def _at_times(result: PathCheck, file: Path, place: Array, time: Array) -> Measu
     return _comparison(result, file, "time", shift + HOLD_S, distance, tangent, missing)
 
 
+def _places(count: int) -> str:
+    return f"{count} place{'' if count == 1 else 's'}"
+
+
+def _milliseconds(time: Array, run_s: float) -> str:
+    """A hint where the times would fit the run if they were ms."""
+    span = float(np.ptp(time))
+    if not (span > MANY * run_s and run_s / MANY < 1e-3 * span < MANY * run_s):
+        return ""
+    return f"; column 'time' spans {span:.4g} s and the run lasts {run_s:.3g} s: look whether it is in ms"
+
+
 def _shift(clock: Array, tip: Array, place: Array, time: Array) -> float:
     """Time of the measurement at which the run's is zero: the mean square distance of both tips is least."""
-    few = np.linspace(time[0], time[-1], SAMPLES)
+    few = _without_holes(np.linspace(time[0], time[-1], SAMPLES), time)
     seen = _interpolate(few, time, place)
 
     def cost(shift: float) -> float:
@@ -194,9 +221,16 @@ def _shift(clock: Array, tip: Array, place: Array, time: Array) -> float:
     shifts = np.linspace(time[0] - clock[-1], time[-1] - clock[0], SHIFTS)
     best = int(np.argmin([cost(s) for s in shifts]))
     low, high = shifts[max(best - 1, 0)], shifts[min(best + 1, SHIFTS - 1)]
-    few = time if len(time) <= 20 * SAMPLES else np.linspace(time[0], time[-1], 20 * SAMPLES)
+    few = time if len(time) <= 20 * SAMPLES else _without_holes(np.linspace(time[0], time[-1], 20 * SAMPLES), time)
     seen = _interpolate(few, time, place)
     return float(minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-7}).x)
+
+
+def _without_holes(at: Array, time: Array) -> Array:
+    """Those instants at which the measurement does not pause: between its places it is no straight line."""
+    step = np.diff(time)
+    inside = step[np.clip(np.searchsorted(time, at) - 1, 0, len(step) - 1)] <= PAUSE * np.median(step)
+    return at[inside] if inside.any() else time
 
 
 def _interpolate(at: Array, time: Array, place: Array) -> Array:
@@ -208,45 +242,36 @@ def _interpolate(at: Array, time: Array, place: Array) -> Array:
 
 
 def _along(result: PathCheck, file: Path, place: Array) -> MeasuredTip:
-    pieces, run = result.plan.seam.pieces, result.runs[0]
+    pieces = result.plan.seam.pieces
     grid = np.linspace(0.0, pieces.total, GRID)
     on_path, _ = pieces.at(grid)
-    nearest = _nearest(on_path, place)
+    nearest = nearest_on_path(on_path, place)
     # before the first and behind the last place of the path there is none beside it
     kept = (nearest > 0) & (nearest < GRID - 1)
     if kept.sum() < FEWEST:
-        raise ValueError(f"{file}: {kept.sum()} places beside the path; expected at least {FEWEST}, in their order")
-    place, distance = place[kept], grid[nearest[kept]]
-    point, tangent = pieces.at(distance)
+        raise ValueError(f"{file}: {_places(kept.sum())} beside the path; expected at least {FEWEST}")
+    place, nearest = place[kept], nearest[kept]
+    point, tangent = pieces.at(grid[nearest])
+    predicted = _beside(result, on_path, nearest, place, tangent)
+    missing = [1e3 * (tip - point) for tip in (place, predicted)]
+    return _comparison(result, file, "path", None, grid[nearest], tangent, missing)
+
+
+def _beside(result: PathCheck, on_path: Array, nearest: Indices, place: Array, tangent: Array) -> Array:
+    """Where the predicted tip was beside each place, (N, 3): distance across the path counts `BESIDE` of that along it."""
+    run = result.runs[0]
+    reached = np.maximum.accumulate(in_order(on_path, run.tip[:, :3, 3]))
     # with the rest before and after the path, for the tip lags; between its samples
     fine = np.linspace(run.time[0], run.time[-1], FINER * len(run.time))
-    predicted = _interpolate(fine, run.time, run.tip[:, :3, 3])
-    predicted = predicted[_nearest(predicted, place, tangent)]
-    missing = [1e3 * (tip - point) for tip in (place, predicted)]
-    return _comparison(result, file, "path", None, distance, tangent, missing)
-
-
-def _nearest(curve: Array, place: Array, tangent: Array | None = None) -> NDArray[np.int64]:
-    """Which point of a curve (G, 3) is nearest to each place (N, 3), looked for from the last one on; shape (N,).
-
-    With the path's tangents (N, 3): which is beside it, so that distance across the path counts `BESIDE` of that along it.
-    """
-    length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))]
-    steps = np.r_[0.0, np.linalg.norm(np.diff(place, axis=0), axis=1)]
-    # of a closed curve the first place is near both ends: it is in the first half
-    half = np.searchsorted(length, 0.5 * length[-1]) + 1
-    last = int(np.argmin(np.linalg.norm(curve[:half] - place[0], axis=1)))
-    found = np.empty(len(place), dtype=np.int64)
-    for k, (p, step) in enumerate(zip(place, steps, strict=True)):
-        reach = WINDOW + 3.0 * step
-        begin, end = np.searchsorted(length, [length[last] - reach / 3.0, length[last] + reach])
-        off = curve[begin : end + 1] - p
-        squares = np.sum(off**2, axis=1)
-        if tangent is not None:
-            along = (off @ tangent[k]) ** 2
-            squares = along + BESIDE**2 * (squares - along)
-        last = int(begin) + int(np.argmin(squares))
-        found[k] = last
+    tip = _interpolate(fine, run.time, run.tip[:, :3, 3])
+    length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))]
+    there = length[np.minimum(np.searchsorted(np.interp(fine, run.time, reached), nearest), len(fine) - 1)]
+    begins, ends = np.searchsorted(length, [there - WINDOW, there + WINDOW])
+    found = np.empty_like(place)
+    for k, (begin, end) in enumerate(zip(begins, ends, strict=True)):
+        off = tip[begin : end + 1] - place[k]
+        along = (off @ tangent[k]) ** 2
+        found[k] = tip[begin + np.argmin(along + BESIDE**2 * (np.sum(off**2, axis=1) - along))]
     return found
 
 
@@ -264,8 +289,8 @@ def _comparison(
     measured, predicted = (split(off) for off in missing)
     parts = {name: getattr(measured, name) - getattr(predicted, name) for name in ("along", "left", "up")}
     difference = dataclasses.replace(measured, **parts)
-    seen = float(np.ptp(distance)) * 1e3 / length
-    return MeasuredTip(file, aligned, shift, measured, predicted, difference, result.options.tolerance_mm, seen)
+    missed = tuple(unmeasured(1e3 * distance, length))
+    return MeasuredTip(file, aligned, shift, measured, predicted, difference, result.options.tolerance_mm, missed)
 
 
 # ---- files ------------------------------------------------------------------------------------------------------
@@ -288,6 +313,7 @@ def as_json(of: MeasuredTip) -> dict[str, Any]:
         "agrees": of.agrees,
         "explained": of.explained,
         "seen": of.seen,
+        "unmeasured_mm": [list(part) for part in of.unmeasured_mm],
         "samples": len(of.measured.distance_mm),
         **{
             name: {

@@ -99,6 +99,11 @@ def read_static_table(
     return StaticTest(coordinate, moment, deformation, _read_direction(path), moment_std, deformation_std)
 
 
+def gives_moment(path: str | os.PathLike[str]) -> bool:
+    """Whether a table of a dead-weight test has moments, which need no lever."""
+    return "moment_nm" in read_table(Path(path), ["deformation_rad"], optional=["moment_nm"]).names
+
+
 def _read_direction(path: Path) -> Mask:
     frame = read_parquet(path).to_pandas() if path.suffix.lower() == ".parquet" else pd.read_csv(path, dtype=str)
     names = [str(name).strip() for name in frame.columns]

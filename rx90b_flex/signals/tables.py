@@ -100,7 +100,8 @@ def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ())
     ------
     ValueError
         One line naming the file and, where it applies, column and data row (counted from 1): file missing,
-        unreadable or empty, no data rows, a column missing or there twice, a cell that is not a number.
+        unreadable or empty, no data rows, a column missing or there twice, none of the optional columns
+        where none must be there, a cell that is not a number.
     """
     extension = extension_of(path)
     try:
@@ -115,6 +116,8 @@ def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ())
         header = list(pa_parquet.read_schema(path).names) if extension == ".parquet" else _csv_header(path)
         refuse_separators(path, header)
         wanted = _choose(path, header, columns, optional)
+        if not wanted:
+            raise ValueError(f"{path}: has none of the columns {', '.join(optional)}")
         positions = [header.index(name) for name in wanted]
         read = _read_parquet if extension == ".parquet" else _read_csv
         values, single = read(path, header, positions)

@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from rx90b_flex.identify.static_command import StaticResult
+from rx90b_flex.identify.static_stiffness import ALIKE
 from rx90b_flex.view.page import PageTable, Section, image, write_page
 from rx90b_flex.view.static_plots import static_test_figure
-
-ALIKE = 0.01  # p-value below which loading and unloading are said to differ
 
 
 def headline(result: StaticResult) -> list[str]:
@@ -26,7 +25,7 @@ def headline(result: StaticResult) -> list[str]:
                 f"Its tests differ by more than their noise (p = {h.p_value:.2g}): another pose, slip, or a wrong lever."
             )
     for f in result.found:
-        if f.p_value < ALIKE:
+        if f.differs and not f.backwards:
             lines.append(
                 f"{f.coordinate}: loading and unloading differ (p = {f.p_value:.2g}): friction takes part, see `skip`."
             )
