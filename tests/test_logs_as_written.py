@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from test_importers import AXES, ROBOT, SAMPLES, TAU, TIME, Q, V, numbered, said, table, whole
+from test_importers import AXES, ROBOT, SAMPLES, TAU, TIME, Q, V, numbered, said, table, whole, write_bag
 
 from rx90b_flex.identify.camera_command import read_markers
 from rx90b_flex.importing import import_into
@@ -169,7 +169,61 @@ def test_a_stamp_in_two_columns_is_one_time(tmp_path: Path, names: list[str]) ->
     for name, part in zip(names, (nanoseconds // 10**9, nanoseconds % 10**9), strict=True):
         data[name] = part
     data.to_csv(tmp_path / "run.csv", index=False)
-    assert f"columns '{names[0]}' and '{names[1]}', in s and ns" in check(tmp_path / "run.csv")
+    text = check(tmp_path / "run.csv")
+    assert f"columns '{names[0]}' and '{names[1]}', in s and ns" in text and "recorded on 2023-11-14" in text
+
+
+DAY_S = 1_772_495_999.5  # 2026-03-02 23:59:59.5 UTC
+ISO = pd.Timestamp(DAY_S, unit="s") + pd.to_timedelta(TIME, unit="s")
+
+
+@pytest.mark.parametrize(
+    ("name", "time", "day"),
+    [
+        ("time", DAY_S + TIME, "2026-03-02"),
+        ("t_us", np.round(1e6 * (DAY_S + TIME)).astype(np.int64), "2026-03-02"),
+        ("stamp", np.round(1e9 * (DAY_S + TIME)).astype(np.int64), "2026-03-02"),
+        ("t", ISO.strftime("%Y-%m-%d %H:%M:%S.%f"), "2026-03-02"),
+        ("t", ISO.strftime("%Y-%m-%dT%H:%M:%S.%fZ"), "2026-03-02"),
+        ("t", ISO.strftime("%Y-%m-%dT%H:%M:%S.%f-02:00"), "2026-03-02"),  # the log's own day, not that of UTC
+        ("Zeit", ISO.strftime("%d.%m.%Y %H:%M:%S.%f"), "2026-03-02"),
+        ("t", (ISO - pd.Timedelta("1h")).strftime("%H:%M:%S.%f"), None),
+        ("time", TIME, None),
+        ("time", 1e6 + TIME, None),
+        ("t_ms", 1e3 * (1e5 + TIME), None),
+    ],
+)
+def test_the_day_that_a_log_tells_is_written(tmp_path: Path, name: str, time: object, day: str | None) -> None:
+    data = table(NAMES[1:], Q, TAU)
+    data.insert(0, name, time)
+    data.to_csv(tmp_path / "run.csv", index=False)
+    imported = import_into(tmp_path / "data", [tmp_path / "run.csv"], ROBOT, ReadingOptions())
+    assert [r.date for r in load_campaign(tmp_path / "data" / "campaign.toml").recordings] == [day, day]
+    assert (f"recorded on {day}" in said(imported)) == ("recorded on" in said(imported)) == (day is not None)
+
+
+def test_the_day_is_that_of_the_rows_that_are_used(tmp_path: Path) -> None:
+    later = np.where(np.arange(SAMPLES) < 20, 0.0, 86400.0)
+    data = table(["time", *NAMES[1:]], DAY_S + TIME + later, Q, TAU)
+    data.to_csv(tmp_path / "run.csv", index=False, float_format="%.4f")
+    imported = import_logs([tmp_path / "run.csv"], AXES)
+    assert {r.date for r in imported.recordings} == {"2026-03-03"}
+
+
+def test_dates_beside_a_time_from_zero_tell_the_day(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    table(NAMES, TIME, Q, TAU).assign(Datum=ISO.strftime("%Y-%m-%d %H:%M:%S.%f")).to_csv(path, index=False)
+    assert {r.date for r in import_logs([path], AXES).recordings} == {"2026-03-02"}
+
+
+def test_tables_of_time_stamps_and_bags_tell_their_day(tmp_path: Path) -> None:
+    data = table(NAMES[1:], Q, TAU)
+    data.insert(0, "stamp", ISO)
+    data.to_parquet(tmp_path / "run.parquet")
+    assert {r.date for r in import_logs([tmp_path / "run.parquet"], AXES).recordings} == {"2026-03-02"}
+    for stamped in (True, False):  # by the headers, by the recorder
+        bag = write_bag(tmp_path / f"bag_{stamped}", "SQLITE3", stamped=stamped)
+        assert {r.date for r in import_logs([bag], AXES).recordings} == {"2023-11-14"}
 
 
 def test_columns_of_rostopic_belong_to_the_joints_that_it_names(tmp_path: Path) -> None:

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from rx90b_flex.files.keys import suggestion
 from rx90b_flex.pieces import Array
-from rx90b_flex.signals.columns import ColumnFinder, PlacedColumn
+from rx90b_flex.signals.columns import ColumnFinder, LogTimes, PlacedColumn
 from rx90b_flex.signals.import_options import FIELDS, Axes, Finding, Findings, ReadingOptions
 from rx90b_flex.signals.logs import read_log, stem_of
 from rx90b_flex.signals.readers.reader import Log
-from rx90b_flex.signals.recording import REQUIRED, Recording, Role
+from rx90b_flex.signals.recording import REQUIRED, Recording, Role, day_of
 from rx90b_flex.signals.tables import LARGEST
 from rx90b_flex.signals.times import printed_resolution
 from rx90b_flex.signals.units import DEGREE
@@ -176,8 +176,9 @@ class _Import:
         self.found = Findings(Finding(note, "sure") for note in log.notes)
         self.found += [Finding(note, "likely") for note in log.assumed]
         finder = ColumnFinder(log, axes, options, self.found)
-        time, time_name = finder.time()
-        joints, signals = finder.signals(time_name)
+        times = finder.time()
+        time = times.seconds
+        joints, signals = finder.signals(times.column)
         names = [c.name for columns in signals.values() for c in columns]
         rows, used = self._usable(names, time)
         begin = used[0] - time[0]  # what drifts with time counts it from where the log began
@@ -193,11 +194,18 @@ class _Import:
         fields: dict[str, Any] = {FIELDS[signal]: array for signal, array in values.items()}
         self.recording = Recording(
             name=stem_of(log.path), role="identification", time=begin + grid, sample_rate_hz=rate, joints=joints, source=log.path,
-            **fields,
+            date=self._day(times, begin), **fields,
         )  # fmt: skip
 
     def _problem(self, what: str) -> ValueError:
         return ValueError(f"{self.log.path}: {what}")
+
+    def _day(self, times: LogTimes, begin: float) -> str | None:
+        """The day on which the rows begin that are used, `begin` s after the first; None where the log tells none."""
+        day = None if times.clock is None else day_of(times.clock + begin)
+        if day is not None:
+            self.found.add(f"recorded on {day}", "sure" if times.sure else "likely")
+        return day
 
     # units
 

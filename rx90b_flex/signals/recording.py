@@ -538,7 +538,7 @@ def _cut(table: tables.Table, entry: _Entry, layout: _CampaignLayout) -> Recordi
         payload=entry.payload,
         period_s=entry.period_s,
         source=table.path,
-        date=entry.date or _day_of(float(time[part.start])),
+        date=entry.date or day_of(float(time[part.start])),
     )
 
 
@@ -583,7 +583,7 @@ def _signals(table: tables.Table, part: slice, layout: _CampaignLayout) -> dict[
     return values
 
 
-def _day_of(clock: float) -> str | None:
+def day_of(clock: float) -> str | None:
     """Day (UTC) of a clock that counts seconds since 1970; None for one that begins with the log."""
     if not FIRST_CLOCK_S <= clock <= LAST_CLOCK_S:
         return None
