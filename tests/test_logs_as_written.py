@@ -160,6 +160,11 @@ def test_currents_without_torques_make_a_campaign_whose_torque_constants_are_ide
     campaign = load_campaign(tmp_path / "data" / "campaign.toml")
     assert campaign.torque_constants == (None, None, None)
     np.testing.assert_allclose(np.concatenate([r.motor_current for r in campaign.recordings]), TAU)
+    for file in (tmp_path / "data").glob("*.parquet"):  # amperes are nowhere called torques
+        assert pd.read_parquet(file).columns.tolist() == [
+            "time",
+            *(f"{s}_{j}" for s in ("q", "i") for j in AXES.joints),
+        ]
 
 
 @pytest.mark.parametrize("names", [["header.stamp.sec", "header.stamp.nanosec"], ["secs", "nsecs"]])
