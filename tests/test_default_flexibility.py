@@ -171,7 +171,7 @@ def test_a_finger_that_is_all_there_is_is_said(tmp_path: Path, command: Command,
     np.savetxt(tmp_path / "run.csv", np.column_stack([t, q, tau]), delimiter=",", header=names, comments="")
     found = command("import", tmp_path / "run.csv", "--robot", urdf, "--out", tmp_path / "data")
     assert (
-        found.status == 0 and "Tip frame: pad_1, a finger; if another is meant, a robot file's tip_frame" in found.out
+        found.status == 0 and f"Tip frame: {pad}, a finger; if another is meant, a robot file's tip_frame" in found.out
     )
     urdf.write_text(hand("tcp", finger, mimics))
     found = command("import", tmp_path / "run.csv", "--robot", urdf, "--out", tmp_path / "data", "--overwrite")

@@ -387,6 +387,28 @@ def test_a_name_that_is_there_twice_is_refused_only_where_it_can_be_used(tmp_pat
         import_logs([path], AXES)
 
 
+def test_a_file_for_each_joint_is_to_be_put_into_one_table(tmp_path: Path) -> None:
+    path, some = tmp_path / "joint_1.csv", ReadingOptions(joints=AXES.joints[1:])
+    table(["time", "position", "effort"], TIME, Q[:, :1], TAU[:, :1]).to_csv(path, index=False)
+    told = r"column 'position' can be motor_position, but of which joint of joint_2, joint_3\? .* one table, .*position_joint_2"
+    with pytest.raises(ValueError, match=told):
+        import_logs([path], AXES, some)
+    assert import_logs([path], AXES, ReadingOptions(joints=("joint_2",))).recordings[0].joints == ("joint_2",)
+    table(["time", "alpha", "effort"], TIME, Q[:, :1], TAU[:, :1]).to_csv(path, index=False)
+    with pytest.raises(ValueError, match=r"no column can be motor_position.*\(one a joint of joint_2, joint_3\)"):
+        import_logs([path], AXES, some)
+
+
+@pytest.mark.parametrize(("seconds", "needs"), [(3.5, True), (8.4, False)])
+def test_a_short_log_says_how_long_it_should_be(tmp_path: Path, seconds: float, needs: bool) -> None:
+    time = np.arange(round(seconds / 0.7 * 250.0)) / 250.0
+    rows = np.resize(np.column_stack([Q, TAU]), (len(time), 6))
+    table(NAMES, time, rows).to_csv(tmp_path / "run.csv", index=False)
+    text = said(import_logs([tmp_path / "run.csv"], AXES))
+    assert f"only {seconds:g} s are for identification, so parameters will be uncertain: record more than 10 s" in text
+    assert ("close-loop needs 4 s at least" in text) == needs
+
+
 def test_a_log_that_begins_anew_says_what_to_do(tmp_path: Path) -> None:
     path = written(tmp_path / "run.csv", t=np.r_[TIME[:300], TIME[: SAMPLES - 300]])
     with pytest.raises(

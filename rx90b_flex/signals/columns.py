@@ -427,14 +427,22 @@ class ColumnFinder:
 
     def _nothing_found(self, signal: str) -> ValueError:
         log, joints, hint = self.log, self.axes.joints, ""
+        wanted = self.options.joints or joints
         shown = ", ".join(repr(n) for n in log.names[:12]) + (" and others" if len(log.names) > 12 else "")
         if signal == "torque":
             hint = "; where a log has currents alone, name them with --columns motor_current=..."
         if log.roles and not any(joint in joints for _, joint in log.roles.values()):
             hint = f"; the robot's joints are {', '.join(joints)}"
+        plain = [name for name in log.names if not log.roles and _last_number(words_of(name)) is None]
+        lone = next((name for name in plain if self._signal(name, words_of(name))[0] == signal), None)
+        if lone is not None and len(wanted) > 1:
+            return self._problem(
+                f"column {lone!r} can be {signal}, but of which joint of {', '.join(wanted)}? Where each joint has a file of its "
+                f"own, put them into one table, with columns such as {lone}_{wanted[0]} and {lone}_{wanted[1]}"
+            )
         return self._problem(
             f"no column can be {signal}; it has {shown}{hint}; "
-            f"choose with --columns {signal}=NAME,NAME,... (one a joint of {', '.join(joints)})"
+            f"choose with --columns {signal}=NAME,NAME,... (one a joint of {', '.join(wanted)})"
         )
 
 
