@@ -38,10 +38,16 @@ def default_tip(tree: pin.Model, leaders: Collection[str] = ()) -> str:
 
 def is_finger_frame(tree: pin.Model, frame: str, leaders: Collection[str] = ()) -> bool:
     """Whether a frame is on a finger: its name or its joint's says so, another joint mimics that one, or links move beside it."""
-    joint = tree.frames[tree.getFrameId(frame)].parentJoint
+    joint = joint_of(tree, frame)
     names = (frame, tree.names[joint]) if joint else (frame,)
     worded = any(word in name.lower() for word in FINGER_WORDS for name in names)
     return worded or tree.names[joint] in leaders or bool(fingers_with(tree, joint))
+
+
+def joint_of(tree: pin.Model, frame: str) -> int:
+    """The joint that moves a frame, the link's where a joint has the same name; 0: none does."""
+    named = [f for f in tree.frames if f.name == frame]
+    return int(min(named, key=lambda f: f.type != pin.FrameType.BODY).parentJoint)
 
 
 def fingers_with(tree: pin.Model, joint: int) -> Sequence[int]:

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pinocchio as pin
 
-from rx90b_flex.default_tip import is_finger_frame
+from rx90b_flex.default_tip import is_finger_frame, joint_of
 from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot
@@ -47,7 +47,7 @@ def tip_words(robot: Robot, option: str = "--tip") -> str:
     if not is_finger(robot):
         return said
     tree = robot.tree
-    joint = tree.frames[tree.getFrameId(robot.tip_frame)].parentJoint
+    joint = joint_of(tree, robot.tip_frame)
     hand = [f.name for f in tree.frames if f.type == pin.FrameType.BODY and f.parentJoint == tree.parents[joint]]
     says = f"{option} or a robot file's tip_frame" if option else "a robot file's tip_frame"
     return f"{said}, a finger; if another is meant, {says} says which: {', '.join(hand)}"
