@@ -15,9 +15,10 @@ from rx90b_flex.robot import Robot, load_robot
 from rx90b_flex.signals.facts import found_period_s, sensible_cutoff_hz
 from rx90b_flex.signals.filters import minimum_samples
 from rx90b_flex.signals.folders import CAMPAIGN, check_folder, fill_folder
-from rx90b_flex.signals.import_options import Axes, Finding, ReadingOptions
+from rx90b_flex.signals.import_options import Axes, Finding, ReadingOptions, Sureness
 from rx90b_flex.signals.importers import Imported, import_logs
 from rx90b_flex.signals.recording import LARGEST_ANGLE, Recording, load_campaign, write_campaign
+from rx90b_flex.tip import is_finger, tip_words
 
 FILTERS = 4  # times the length of the low-pass that a recording must have
 FORMATS = ("parquet", "csv", "csv.gz")
@@ -101,6 +102,8 @@ def import_into(
     _refuse_far(imported.recordings, axes)
     imported = _with_facts(imported)
     imported, cutoff = _with_low_pass(imported)
+    if is_finger(loaded):
+        imported = _with_finding(imported, tip_words(loaded, ""), "likely")
     if not basics:
         imported = _with_offer(imported, loaded)
     written_names = {f"{r.name}.{file_format}" for r in imported.recordings}
@@ -163,10 +166,12 @@ def _with_low_pass(imported: Imported) -> tuple[Imported, float | None]:
     fits = all(r.samples >= FILTERS * minimum_samples(cutoff, r.sample_rate_hz) for r in imported.recordings)
     if not fits:
         return imported, None
-    found = Finding(
-        f"low-pass: {cutoff:g} Hz, from the motion's own frequencies; change cutoff_hz in the file", "likely"
-    )
-    return dataclasses.replace(imported, findings=(*imported.findings, ("all files", found))), cutoff
+    said = f"low-pass: {cutoff:g} Hz, from the motion's own frequencies; change cutoff_hz in the file"
+    return _with_finding(imported, said, "likely"), cutoff
+
+
+def _with_finding(imported: Imported, said: str, sure: Sureness) -> Imported:
+    return dataclasses.replace(imported, findings=(*imported.findings, ("all files", Finding(said, sure))))
 
 
 def _with_offer(imported: Imported, robot: Robot) -> Imported:
@@ -178,7 +183,7 @@ def _with_offer(imported: Imported, robot: Robot) -> Imported:
     if set(BASICS) & {name for e in here for name in (e.type_name(), *e.traits.replaces)}:
         return imported
     text = f"{robot.name} declares neither friction nor drive inertia on these joints; --basics has them identified"
-    return dataclasses.replace(imported, findings=(*imported.findings, ("all files", Finding(text, "sure"))))
+    return _with_finding(imported, text, "sure")
 
 
 def _write_basics(robot: Robot, joints: Sequence[str], folder: Path) -> str:

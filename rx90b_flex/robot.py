@@ -17,6 +17,7 @@ import pinocchio as pin
 
 from rx90b_flex import flexify as virtual
 from rx90b_flex import tree_derivatives
+from rx90b_flex.default_tip import default_tip
 from rx90b_flex.effects import Coordinates, Effect, Motion, close_match, effect_from_table
 from rx90b_flex.effects.effect import shared_shapes
 from rx90b_flex.effects.elements import PointMass
@@ -712,18 +713,9 @@ def _from_urdf(
             )
     if robot.tree.nv == 0:
         raise ValueError(f"{source}: the URDF has no moving joint")
-    tip = _default_tip(robot.tree) if tip_frame is None else tip_frame
+    leaders = {leader for _, leader in followers}
+    tip = default_tip(robot.tree, leaders) if tip_frame is None else tip_frame
     return dataclasses.replace(robot, tip_frame=tip)
-
-
-def _default_tip(tree: pin.Model) -> str:
-    """The last body frame of the longest chain of joints."""
-
-    def depth(joint: int) -> int:
-        return 0 if joint == 0 else 1 + depth(int(tree.parents[joint]))
-
-    bodies = [f for f in tree.frames if f.type == pin.FrameType.BODY]
-    return str(max(reversed(bodies), key=lambda f: depth(f.parentJoint)).name)
 
 
 def _from_file(path: Path) -> Robot:

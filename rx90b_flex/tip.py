@@ -1,4 +1,4 @@
-"""The frame that counts as a robot's tip: said, and asked for where it is a finger."""
+"""The frame that counts as a robot's tip: said, with what else it could be where it is a finger."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pinocchio as pin
 
+from rx90b_flex.default_tip import is_finger_frame, joint_of
 from rx90b_flex.effects import close_match
 from rx90b_flex.effects.motion import Array
 from rx90b_flex.robot import Robot
@@ -33,34 +34,20 @@ def with_tip(robot: Robot, frame: str) -> Robot:
     return dataclasses.replace(robot, tip_frame=frame)
 
 
-_FINGERS = ("finger", "thumb", "knuckle", "jaw")  # in names of links
-
-
 def is_finger(robot: Robot) -> bool:
-    """Whether the tip frame is on a finger: its name says so, or links move beside it on the same hand."""
-    return any(word in robot.tip_frame.lower() for word in _FINGERS) or bool(fingers(robot))
+    """Whether the tip frame is on a finger: its name or its joint's says so, another joint mimics that one, or links move beside it
+    on the same hand.
+    """
+    return is_finger_frame(robot.tree, robot.tip_frame, {leader for _, leader in robot.followers})
 
 
-def fingers(robot: Robot) -> tuple[str, ...]:
-    """Links that move beside each other on the link before the tip's joint, the tip's first; empty where it is no finger."""
-    tree = robot.tree
-    joint = tree.frames[tree.getFrameId(robot.tip_frame)].parentJoint
-    if joint == 0:
-        return ()
-    parent = tree.parents[joint]
-    beside = [j for j in range(1, tree.njoints) if tree.parents[j] == parent and not any(p == j for p in tree.parents)]
-    if parent == 0 or len(beside) < 2 or joint not in beside:
-        return ()
-    links = {f.parentJoint: f.name for f in reversed(list(tree.frames)) if f.type == pin.FrameType.BODY}
-    return tuple(links[j] for j in sorted(beside, key=lambda j: j != joint))
-
-
-def tip_words(robot: Robot) -> str:
-    """Which frame is the tip; where it is a finger, what else could be."""
+def tip_words(robot: Robot, option: str = "--tip") -> str:
+    """Which frame is the tip; where it is a finger, what else could be, and the command's option that says it, if there is one."""
     said = f"Tip frame: {robot.tip_frame}"
     if not is_finger(robot):
         return said
     tree = robot.tree
-    joint = tree.frames[tree.getFrameId(robot.tip_frame)].parentJoint
+    joint = joint_of(tree, robot.tip_frame)
     hand = [f.name for f in tree.frames if f.type == pin.FrameType.BODY and f.parentJoint == tree.parents[joint]]
-    return f"{said}, a finger; if another is meant, --tip or a robot file's tip_frame says which: {', '.join(hand)}"
+    says = f"{option} or a robot file's tip_frame" if option else "a robot file's tip_frame"
+    return f"{said}, a finger; if another is meant, {says} says which: {', '.join(hand)}"

@@ -28,6 +28,7 @@ from rx90b_flex.robot import Robot
 from rx90b_flex.simulate import load_cs8, simulate
 from rx90b_flex.simulate.command import controller_of, read_trajectory
 from rx90b_flex.simulate.cs8 import drive_places
+from rx90b_flex.tip import with_tip
 from rx90b_flex.view.command import read_run
 from rx90b_flex.view.path_report import write_path_report
 from rx90b_flex.view.zoom import script
@@ -40,7 +41,11 @@ L_SHAPE = np.array([[0.5, 0.0, 0.35], [0.7, 0.0, 0.35], [0.7, 0.2, 0.35]])
 @cache
 def robot(name: str = "rx90b_3dof") -> Robot:
     loaded = rf.load_robot(name)
-    return loaded.restricted([j for j in loaded.joints if "finger" not in j])  # the Panda's, which carry its tip frame
+    if (
+        "panda" in name
+    ):  # which keeps its speed limits along these paths where the tip is no further out than a finger's root
+        loaded = with_tip(loaded, "panda_leftfinger")
+    return loaded.restricted([j for j in loaded.joints if "finger" not in j])
 
 
 @cache

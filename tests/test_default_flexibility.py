@@ -113,8 +113,8 @@ def test_flexify_puts_a_declared_payload_into_its_link(tmp_path: Path, command: 
     assert said.status == 0 and f"Not held: {tip}.payload: has no value" in said.out
 
 
-def test_the_tip_is_named_and_asked_for_where_it_is_a_finger(tmp_path: Path, command: Command) -> None:
-    panda = rf.load_robot(PANDA)
+def test_the_tip_is_named_and_what_else_could_be_where_it_is_a_finger(tmp_path: Path, command: Command) -> None:
+    panda = with_tip(rf.load_robot(PANDA), "panda_leftfinger")
     assert is_finger(panda) and not is_finger(rf.load_robot("rx90b")) and not is_finger(rf.load_robot(UR10))
     assert "panda_hand" in tip_words(panda)
     assert tip_words(with_tip(panda, "panda_hand")) == "Tip frame: panda_hand"
@@ -124,3 +124,60 @@ def test_the_tip_is_named_and_asked_for_where_it_is_a_finger(tmp_path: Path, com
     found = command("view", PANDA, "--flexible", "--tip", "panda_hend", "--out", tmp_path / "c.html")
     told, last = found.err.splitlines()  # of its finger that follows the other one, then of the frame
     assert found.status == 2 and "here it is fixed" in told and "'panda_hand'" in last
+
+
+def hand(tip: str, finger: str = "left", mimics: bool = True) -> str:
+    """An arm of two joints with a fixed link `tip` on its second link, and two fingers that slide, the second of which mimics."""
+    inertial = '<inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
+    links = "".join(f'<link name="{n}">{inertial}</link>' for n in ("base", "upper", "lower", "pad_1", "pad_2"))
+    limit = '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="9" velocity="9"/>'
+
+    def joint(name: str, kind: str, parent: str, child: str, inside: str) -> str:
+        ends = f'<parent link="{parent}"/><child link="{child}"/>'
+        return f'<joint name="{name}" type="{kind}">{ends}<origin xyz="0 0 0.3"/>{inside}</joint>'
+
+    joints = [
+        joint("swing", "revolute", "base", "upper", limit),
+        joint("lift", "revolute", "upper", "lower", limit),
+        joint(finger, "prismatic", "lower", "pad_1", limit),
+        joint("right", "prismatic", "lower", "pad_2", limit + f'<mimic joint="{finger}"/>' * mimics),
+        joint("mount", "fixed", "lower", tip, ""),
+    ]
+    return f'<robot name="hand">{links}<link name="{tip}"/>{"".join(joints)}</robot>'
+
+
+@pytest.mark.filterwarnings("ignore:.*here it is fixed")
+@pytest.mark.parametrize("mimics", [True, False])
+@pytest.mark.parametrize("tool", ["tcp", "arm_tool0", "ee_link", "Flange", "EndEffector"])
+def test_a_tool_s_frame_is_the_tip_before_a_finger(tmp_path: Path, tool: str, mimics: bool) -> None:
+    (tmp_path / "hand.urdf").write_text(hand(tool, mimics=mimics))
+    robot = rf.load_robot(tmp_path / "hand.urdf")
+    assert robot.tip_frame == tool and tip_words(robot) == f"Tip frame: {tool}"
+    assert rf.load_robot(PANDA).tip_frame == "panda_hand_tcp"
+
+
+@pytest.mark.filterwarnings("ignore:.*here it is fixed")
+@pytest.mark.parametrize(("finger", "mimics"), [("left", True), ("left", False), ("finger", True)])
+def test_a_finger_that_is_all_there_is_is_said(tmp_path: Path, command: Command, finger: str, mimics: bool) -> None:
+    urdf = tmp_path / "hand.urdf"
+    urdf.write_text(hand("steel", finger, mimics))
+    found = command("view", urdf, "--flexible", "--out", tmp_path / "view.html")
+    (line,) = [line for line in found.out.splitlines() if line.startswith("Tip frame")]
+    pad = "pad_1" if mimics else "pad_2"
+    assert found.status == 0 and f"Tip frame: {pad}, a finger" in line and "--tip" in line and "steel" in line
+    t = np.arange(600) / 250.0
+    q, tau = np.column_stack([np.sin(2.0 * t), np.cos(3.0 * t)]), np.column_stack([np.cos(t), np.sin(t)])
+    names = "time,q_swing,q_lift,tau_swing,tau_lift"
+    np.savetxt(tmp_path / "run.csv", np.column_stack([t, q, tau]), delimiter=",", header=names, comments="")
+    found = command("import", tmp_path / "run.csv", "--robot", urdf, "--out", tmp_path / "data")
+    assert (
+        found.status == 0 and f"Tip frame: {pad}, a finger; if another is meant, a robot file's tip_frame" in found.out
+    )
+    urdf.write_text(hand("tcp", finger, mimics))
+    found = command("import", tmp_path / "run.csv", "--robot", urdf, "--out", tmp_path / "data", "--overwrite")
+    assert found.status == 0 and "a finger" not in found.out
+
+
+def test_the_last_link_is_the_tip_where_it_is_no_finger() -> None:
+    assert rf.load_robot(UR10).tip_frame == rf.load_robot("rx90b").tip_frame == "tool0"
+    assert rf.load_robot("example-robot-data:xarm7").tip_frame == "link_eef"

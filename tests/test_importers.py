@@ -421,7 +421,7 @@ def test_repeated_times_and_interruptions_are_left_out(tmp_path: Path) -> None:
     table(["time", *numbered("q", "tau")], TIME[rows], Q[rows], TAU[rows]).to_csv(path, index=False)
     imported = import_logs([path], AXES)
     np.testing.assert_allclose(whole(imported, "position"), Q[200:], atol=1e-14)
-    assert "1 rows with the time of the row before left out" in said(imported) and "1 interruptions" in said(imported)
+    assert "1 row with the time of the row before left out" in said(imported) and "1 interruption:" in said(imported)
     begin = imported.recordings[0].time[0]  # what warms up did so since the log began
     assert begin == pytest.approx(TIME[200], abs=1e-12)
 

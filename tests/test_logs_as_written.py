@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from test_importers import AXES, ROBOT, SAMPLES, TAU, TIME, Q, V, numbered, said, table, whole
+from test_importers import AXES, ROBOT, SAMPLES, TAU, TIME, Q, V, numbered, said, table, whole, write_bag
 
 from rx90b_flex.identify.camera_command import read_markers
 from rx90b_flex.importing import import_into
@@ -160,6 +160,11 @@ def test_currents_without_torques_make_a_campaign_whose_torque_constants_are_ide
     campaign = load_campaign(tmp_path / "data" / "campaign.toml")
     assert campaign.torque_constants == (None, None, None)
     np.testing.assert_allclose(np.concatenate([r.motor_current for r in campaign.recordings]), TAU)
+    for file in (tmp_path / "data").glob("*.parquet"):  # amperes are nowhere called torques
+        assert pd.read_parquet(file).columns.tolist() == [
+            "time",
+            *(f"{s}_{j}" for s in ("q", "i") for j in AXES.joints),
+        ]
 
 
 @pytest.mark.parametrize("names", [["header.stamp.sec", "header.stamp.nanosec"], ["secs", "nsecs"]])
@@ -169,7 +174,61 @@ def test_a_stamp_in_two_columns_is_one_time(tmp_path: Path, names: list[str]) ->
     for name, part in zip(names, (nanoseconds // 10**9, nanoseconds % 10**9), strict=True):
         data[name] = part
     data.to_csv(tmp_path / "run.csv", index=False)
-    assert f"columns '{names[0]}' and '{names[1]}', in s and ns" in check(tmp_path / "run.csv")
+    text = check(tmp_path / "run.csv")
+    assert f"columns '{names[0]}' and '{names[1]}', in s and ns" in text and "recorded on 2023-11-14" in text
+
+
+DAY_S = 1_772_495_999.5  # 2026-03-02 23:59:59.5 UTC
+ISO = pd.Timestamp(DAY_S, unit="s") + pd.to_timedelta(TIME, unit="s")
+
+
+@pytest.mark.parametrize(
+    ("name", "time", "day"),
+    [
+        ("time", DAY_S + TIME, "2026-03-02"),
+        ("t_us", np.round(1e6 * (DAY_S + TIME)).astype(np.int64), "2026-03-02"),
+        ("stamp", np.round(1e9 * (DAY_S + TIME)).astype(np.int64), "2026-03-02"),
+        ("t", ISO.strftime("%Y-%m-%d %H:%M:%S.%f"), "2026-03-02"),
+        ("t", ISO.strftime("%Y-%m-%dT%H:%M:%S.%fZ"), "2026-03-02"),
+        ("t", ISO.strftime("%Y-%m-%dT%H:%M:%S.%f-02:00"), "2026-03-02"),  # the log's own day, not that of UTC
+        ("Zeit", ISO.strftime("%d.%m.%Y %H:%M:%S.%f"), "2026-03-02"),
+        ("t", (ISO - pd.Timedelta("1h")).strftime("%H:%M:%S.%f"), None),
+        ("time", TIME, None),
+        ("time", 1e6 + TIME, None),
+        ("t_ms", 1e3 * (1e5 + TIME), None),
+    ],
+)
+def test_the_day_that_a_log_tells_is_written(tmp_path: Path, name: str, time: object, day: str | None) -> None:
+    data = table(NAMES[1:], Q, TAU)
+    data.insert(0, name, time)
+    data.to_csv(tmp_path / "run.csv", index=False)
+    imported = import_into(tmp_path / "data", [tmp_path / "run.csv"], ROBOT, ReadingOptions())
+    assert [r.date for r in load_campaign(tmp_path / "data" / "campaign.toml").recordings] == [day, day]
+    assert (f"recorded on {day}" in said(imported)) == ("recorded on" in said(imported)) == (day is not None)
+
+
+def test_the_day_is_that_of_the_rows_that_are_used(tmp_path: Path) -> None:
+    later = np.where(np.arange(SAMPLES) < 20, 0.0, 86400.0)
+    data = table(["time", *NAMES[1:]], DAY_S + TIME + later, Q, TAU)
+    data.to_csv(tmp_path / "run.csv", index=False, float_format="%.4f")
+    imported = import_logs([tmp_path / "run.csv"], AXES)
+    assert {r.date for r in imported.recordings} == {"2026-03-03"}
+
+
+def test_dates_beside_a_time_from_zero_tell_the_day(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    table(NAMES, TIME, Q, TAU).assign(Datum=ISO.strftime("%Y-%m-%d %H:%M:%S.%f")).to_csv(path, index=False)
+    assert {r.date for r in import_logs([path], AXES).recordings} == {"2026-03-02"}
+
+
+def test_tables_of_time_stamps_and_bags_tell_their_day(tmp_path: Path) -> None:
+    data = table(NAMES[1:], Q, TAU)
+    data.insert(0, "stamp", ISO)
+    data.to_parquet(tmp_path / "run.parquet")
+    assert {r.date for r in import_logs([tmp_path / "run.parquet"], AXES).recordings} == {"2026-03-02"}
+    for stamped in (True, False):  # by the headers, by the recorder
+        bag = write_bag(tmp_path / f"bag_{stamped}", "SQLITE3", stamped=stamped)
+        assert {r.date for r in import_logs([bag], AXES).recordings} == {"2023-11-14"}
 
 
 def test_columns_of_rostopic_belong_to_the_joints_that_it_names(tmp_path: Path) -> None:
@@ -326,6 +385,28 @@ def test_a_name_that_is_there_twice_is_refused_only_where_it_can_be_used(tmp_pat
         return
     with pytest.raises(ValueError, match=rf"run\.csv: column '{name}' is there 2 times"):
         import_logs([path], AXES)
+
+
+def test_a_file_for_each_joint_is_to_be_put_into_one_table(tmp_path: Path) -> None:
+    path, some = tmp_path / "joint_1.csv", ReadingOptions(joints=AXES.joints[1:])
+    table(["time", "position", "effort"], TIME, Q[:, :1], TAU[:, :1]).to_csv(path, index=False)
+    told = r"column 'position' can be motor_position, but of which joint of joint_2, joint_3\? .* one table, .*position_joint_2"
+    with pytest.raises(ValueError, match=told):
+        import_logs([path], AXES, some)
+    assert import_logs([path], AXES, ReadingOptions(joints=("joint_2",))).recordings[0].joints == ("joint_2",)
+    table(["time", "alpha", "effort"], TIME, Q[:, :1], TAU[:, :1]).to_csv(path, index=False)
+    with pytest.raises(ValueError, match=r"no column can be motor_position.*\(one a joint of joint_2, joint_3\)"):
+        import_logs([path], AXES, some)
+
+
+@pytest.mark.parametrize(("seconds", "needs"), [(3.5, True), (8.4, False)])
+def test_a_short_log_says_how_long_it_should_be(tmp_path: Path, seconds: float, needs: bool) -> None:
+    time = np.arange(round(seconds / 0.7 * 250.0)) / 250.0
+    rows = np.resize(np.column_stack([Q, TAU]), (len(time), 6))
+    table(NAMES, time, rows).to_csv(tmp_path / "run.csv", index=False)
+    text = said(import_logs([tmp_path / "run.csv"], AXES))
+    assert f"only {seconds:g} s are for identification, so parameters will be uncertain: record more than 10 s" in text
+    assert ("close-loop needs 4 s at least" in text) == needs
 
 
 def test_a_log_that_begins_anew_says_what_to_do(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from rx90b_flex.signals.column_names import FORCE, NO_UNITS, find_words, is_time
 from rx90b_flex.signals.import_options import FIELDS, Axes, Findings, ReadingOptions, Sureness
 from rx90b_flex.signals.logs import TIME
 from rx90b_flex.signals.readers.reader import Log
-from rx90b_flex.signals.recording import REQUIRED, SIGNALS
+from rx90b_flex.signals.recording import REQUIRED, SIGNALS, day_of
 from rx90b_flex.signals.times import seconds_and_nanoseconds
 from rx90b_flex.signals.units import (
     TIME_UNITS,
@@ -55,6 +55,24 @@ class PlacedColumn:
     extra: int = 0
 
 
+@dataclass(frozen=True, eq=False)
+class LogTimes:
+    """Times of a log's rows.
+
+    Attributes
+    ----------
+    seconds : (N,) s, from the first row.
+    column : that they are in; None: in none.
+    clock : s since 1970 in the first row, where the log tells it; else None.
+    sure : whether names or the format say so.
+    """
+
+    seconds: Array
+    column: str | None = None
+    clock: float | None = None
+    sure: bool = True
+
+
 class ColumnFinder:
     """Finds the columns of one log; what it works out is added to `found`."""
 
@@ -78,16 +96,16 @@ class ColumnFinder:
         """
         return self._complete(self._places(time_name))
 
-    def time(self) -> tuple[Array, str | None]:
-        """Times (N,), s, and the column that they are in; ValueError where there are none."""
+    def time(self) -> LogTimes:
+        """When its rows were logged; ValueError where the log does not tell."""
         log, options = self.log, self.options
         if log.time is not None:
-            return log.time, None
+            return LogTimes(log.time, clock=log.clocks.get(TIME))
         stamp = seconds_and_nanoseconds(log.names)
         if stamp is not None:
             seconds, rest = (log.column(name) for name in stamp)
             self.found.add(f"time: columns {stamp[0]!r} and {stamp[1]!r}, in s and ns")
-            return seconds - seconds[0] + 1e-9 * (rest - rest[0]), stamp[0]
+            return LogTimes(seconds - seconds[0] + 1e-9 * (rest - rest[0]), stamp[0], float(seconds[0]))
         candidates = [name for name in log.names if is_time(name)]
         exact = [name for name in candidates if name.lower() == TIME]
         if not candidates and options.rate_hz is None:  # the only one that is in seconds, as dates with times are
@@ -104,14 +122,17 @@ class ColumnFinder:
             unit = next(u for u, s in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6), ("ns", 1e-9)) if s == scale)
             sure = bool(stated) or (scale == 1.0 and step > 1e-5)
             self.found.add(f"time: column {name!r}, in {unit}", "sure" if sure else "likely")
-            return time * scale, name
+            # dates with times, in this column or in one beside it
+            dated = [log.clocks[n] for n in (name, *log.clocks) if day_of(log.clocks.get(n, 0.0)) is not None]
+            clock = dated[0] if dated else float(log.column(name)[0]) * scale
+            return LogTimes(time * scale, name, clock, sure or bool(dated))
         if options.rate_hz is None:
             for name in log.words:
                 if is_time(name):
                     self._refuse_words(name, "time")
             raise self._problem("no time column; expected one named time, or --rate with the sample rate in Hz")
         self.found.add(f"time: {options.rate_hz:g} Hz", "stated")
-        return np.arange(len(log.values)) / options.rate_hz, None
+        return LogTimes(np.arange(len(log.values)) / options.rate_hz)
 
     def _places(self, time_name: str | None) -> dict[str, list[PlacedColumn]]:
         """Signal -> columns that can hold it."""
@@ -406,14 +427,22 @@ class ColumnFinder:
 
     def _nothing_found(self, signal: str) -> ValueError:
         log, joints, hint = self.log, self.axes.joints, ""
+        wanted = self.options.joints or joints
         shown = ", ".join(repr(n) for n in log.names[:12]) + (" and others" if len(log.names) > 12 else "")
         if signal == "torque":
             hint = "; where a log has currents alone, name them with --columns motor_current=..."
         if log.roles and not any(joint in joints for _, joint in log.roles.values()):
             hint = f"; the robot's joints are {', '.join(joints)}"
+        plain = [name for name in log.names if not log.roles and _last_number(words_of(name)) is None]
+        lone = next((name for name in plain if self._signal(name, words_of(name))[0] == signal), None)
+        if lone is not None and len(wanted) > 1:
+            return self._problem(
+                f"column {lone!r} can be {signal}, but of which joint of {', '.join(wanted)}? Where each joint has a file of its "
+                f"own, put them into one table, with columns such as {lone}_{wanted[0]} and {lone}_{wanted[1]}"
+            )
         return self._problem(
             f"no column can be {signal}; it has {shown}{hint}; "
-            f"choose with --columns {signal}=NAME,NAME,... (one a joint of {', '.join(joints)})"
+            f"choose with --columns {signal}=NAME,NAME,... (one a joint of {', '.join(wanted)})"
         )
 
 

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from rx90b_flex.files.keys import suggestion
 from rx90b_flex.pieces import Array
-from rx90b_flex.signals.columns import ColumnFinder, PlacedColumn
+from rx90b_flex.signals.columns import ColumnFinder, LogTimes, PlacedColumn
 from rx90b_flex.signals.import_options import FIELDS, Axes, Finding, Findings, ReadingOptions
 from rx90b_flex.signals.logs import read_log, stem_of
 from rx90b_flex.signals.readers.reader import Log
-from rx90b_flex.signals.recording import REQUIRED, Recording, Role
+from rx90b_flex.signals.recording import REQUIRED, Recording, Role, day_of
 from rx90b_flex.signals.tables import LARGEST
 from rx90b_flex.signals.times import printed_resolution
 from rx90b_flex.signals.units import DEGREE
@@ -101,8 +101,8 @@ def _warn_of_short(recordings: Sequence[Recording], found: Findings) -> None:
     fewest = min(r.samples for r in recordings)
     if fitted < SHORT_S:
         found.add(
-            f"{fitted:.3g} s identify: parameters will be uncertain; record more than {SHORT_S:g} s, and at least "
-            f"{FEWEST_S:g} s for close-loop"
+            f"only {fitted:.3g} s are for identification, so parameters will be uncertain: record more than {SHORT_S:g} s for it"
+            + (f"; close-loop needs {FEWEST_S:g} s at least" if fitted < FEWEST_S else "")
         )
     if fewest < FEWEST_SAMPLES:
         found.add(f"a part of {fewest} samples: state a cutoff_hz, for noise cannot be told from motion in it")
@@ -176,8 +176,9 @@ class _Import:
         self.found = Findings(Finding(note, "sure") for note in log.notes)
         self.found += [Finding(note, "likely") for note in log.assumed]
         finder = ColumnFinder(log, axes, options, self.found)
-        time, time_name = finder.time()
-        joints, signals = finder.signals(time_name)
+        times = finder.time()
+        time = times.seconds
+        joints, signals = finder.signals(times.column)
         names = [c.name for columns in signals.values() for c in columns]
         rows, used = self._usable(names, time)
         begin = used[0] - time[0]  # what drifts with time counts it from where the log began
@@ -193,11 +194,18 @@ class _Import:
         fields: dict[str, Any] = {FIELDS[signal]: array for signal, array in values.items()}
         self.recording = Recording(
             name=stem_of(log.path), role="identification", time=begin + grid, sample_rate_hz=rate, joints=joints, source=log.path,
-            **fields,
+            date=self._day(times, begin), **fields,
         )  # fmt: skip
 
     def _problem(self, what: str) -> ValueError:
         return ValueError(f"{self.log.path}: {what}")
+
+    def _day(self, times: LogTimes, begin: float) -> str | None:
+        """The day on which the rows begin that are used, `begin` s after the first; None where the log tells none."""
+        day = None if times.clock is None else day_of(times.clock + begin)
+        if day is not None:
+            self.found.add(f"recorded on {day}", "sure" if times.sure else "likely")
+        return day
 
     # units
 
@@ -296,7 +304,7 @@ class _Import:
             row = int(rows[np.argmax(empty[rows, column])])
             raise self._problem(f"column {names[column]!r}, row {row + 1}: empty or NaN")
         if len(rows) < len(empty):
-            self.found.add(f"{len(empty) - len(rows)} rows with empty cells at the ends left out")
+            self.found.add(f"{_many(len(empty) - len(rows), 'row')} with empty cells at the ends left out")
         time = time[rows]
         back = np.flatnonzero(np.diff(time) < 0.0)
         if len(back):
@@ -313,7 +321,7 @@ class _Import:
             )
             time, fresh = even, np.ones(len(time), dtype=bool)
         if not fresh.all():
-            self.found.add(f"{np.count_nonzero(~fresh)} rows with the time of the row before left out")
+            self.found.add(f"{_many(int(np.count_nonzero(~fresh)), 'row')} with the time of the row before left out")
             rows, time = rows[fresh], time[fresh]
         self._check_number(len(rows), "at different times")
         steps = np.diff(time)
@@ -323,7 +331,7 @@ class _Import:
             part = slice(ends[longest], ends[longest + 1])
             rows, time = rows[part], time[part]
             self.found.add(
-                f"{len(ends) - 2} interruptions: only the longest part is used, {time[0]:.4g} to {time[-1]:.4g} s"
+                f"{_many(len(ends) - 2, 'interruption')}: only the longest part is used, {time[0]:.4g} to {time[-1]:.4g} s"
             )
             self._check_number(len(rows), "between interruptions")
         return rows, time
@@ -367,7 +375,7 @@ class _Import:
             values[signal] = PchipInterpolator(time, array, axis=0)(np.minimum(grid, time[-1]))
         spread = np.ptp(np.diff(time))
         self.found.add(
-            (f"{lost} rows are missing; " if lost else "")
+            (f"{_many(lost, 'row')} {'is' if lost == 1 else 'are'} missing; " if lost else "")
             + f"steps differ by up to {1e3 * spread:.3g} ms: interpolated (PCHIP) at the {of} rate, {rate:g} Hz, {len(grid)} samples",
             "likely",
         )
@@ -383,6 +391,10 @@ class _Import:
         if abs(mean - median) < near and _round_rate(mean) == float(f"{mean:.3g}"):
             return "mean", _round_rate(mean)
         return "median", _round_rate(median)
+
+
+def _many(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def _between_ticks(time: Array) -> Array | None:

@@ -277,9 +277,14 @@ def save_recording(recording: Recording, path: str | os.PathLike[str]) -> None:
 
     Every format reads back the same numbers. The file appears whole or not at all.
     """
+    _save(recording, Path(path), SIGNALS)
+
+
+def _save(recording: Recording, path: Path, signals: Sequence[Signal]) -> None:
+    """Write time, those of `signals` that a recording has, and accelerations."""
     names = ["time"]
     blocks = [recording.time[:, None]]
-    for item in SIGNALS:
+    for item in signals:
         value = getattr(recording, item.field)
         if value is not None:
             names += [f"{item.prefix}_{joint}" for joint in recording.joints]
@@ -287,7 +292,7 @@ def save_recording(recording: Recording, path: str | os.PathLike[str]) -> None:
     if recording.acceleration is not None:
         names += _acceleration_columns(recording.acceleration.shape[1] // 3)
         blocks.append(recording.acceleration)
-    tables.write_table(Path(path), names, np.hstack(blocks))
+    tables.write_table(path, names, np.hstack(blocks))
 
 
 def write_campaign(
@@ -310,7 +315,7 @@ def write_campaign(
     recordings : of one robot: same joints, sample rate and signals. Files take the recordings' names, in a folder named
         for the role where both roles have a recording of that name.
     cutoff_hz, noise_torque, accelerometers : as in `Campaign`.
-    from_current : whether torques are the currents times constants that are not known.
+    from_current : whether torques are the currents times constants that are not known; they are not written then.
 
     Returns
     -------
@@ -346,7 +351,7 @@ def write_campaign(
     for recording, file in zip(recordings, _file_names(recordings, file_format), strict=True):
         target = directory / file
         target.parent.mkdir(parents=True, exist_ok=True)
-        save_recording(recording, target)
+        _save(recording, target, fields)
         content["recording"].append(_entry_of(recording, file))
     campaign = directory / "campaign.toml"
     tables.write_whole(campaign, lambda temporary: temporary.write_text(toml_text(content), encoding="utf-8"))
@@ -538,7 +543,7 @@ def _cut(table: tables.Table, entry: _Entry, layout: _CampaignLayout) -> Recordi
         payload=entry.payload,
         period_s=entry.period_s,
         source=table.path,
-        date=entry.date or _day_of(float(time[part.start])),
+        date=entry.date or day_of(float(time[part.start])),
     )
 
 
@@ -583,7 +588,7 @@ def _signals(table: tables.Table, part: slice, layout: _CampaignLayout) -> dict[
     return values
 
 
-def _day_of(clock: float) -> str | None:
+def day_of(clock: float) -> str | None:
     """Day (UTC) of a clock that counts seconds since 1970; None for one that begins with the log."""
     if not FIRST_CLOCK_S <= clock <= LAST_CLOCK_S:
         return None

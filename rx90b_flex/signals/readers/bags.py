@@ -89,4 +89,5 @@ def _joint_states(path: Path, messages: list[tuple[int, Any]], notes: list[str])
     every = ((f"{field}/{joint}", (signal, joint)) for signal, field in fields.items() for joint in joints)
     roles = {name: role for (name, role), there in zip(every, whole.ravel(), strict=True) if there}
     columns = values[complete][:, whole]
-    return Log(path, tuple(roles), columns, tuple(notes), (used - used[0]) * 1e-9, roles)
+    clocks = {"time": float(used[0]) * 1e-9}
+    return Log(path, tuple(roles), columns, tuple(notes), (used - used[0]) * 1e-9, roles, clocks=clocks)

@@ -25,11 +25,13 @@ class ParquetReader(Reader):
             return log_of(path, *lerobot.columns_of(path, table))
         names, columns = [], []
         words: dict[str, str] = {}
+        clocks: dict[str, float] = {}
         for name, column in zip(table.column_names, table.columns, strict=True):
             if pa.types.is_timestamp(column.type):
                 ticks = column.cast(pa.timestamp("ns")).cast(pa.int64()).to_numpy(zero_copy_only=False)
                 names.append(f"{name}_s")
                 columns.append((ticks - ticks[0]) * 1e-9)
+                clocks[names[-1]] = float(ticks[0]) * 1e-9
             elif pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
                 names.append(name)
                 columns.append(column.to_numpy(zero_copy_only=False).astype(float))
@@ -37,4 +39,4 @@ class ParquetReader(Reader):
                 words[name] = str(column[0].as_py())[:40]
         if not columns:
             raise ValueError(f"{path}: no columns of numbers")
-        return dataclasses.replace(log_of(path, names, np.stack(columns, axis=1), []), words=words)
+        return dataclasses.replace(log_of(path, names, np.stack(columns, axis=1), []), words=words, clocks=clocks)

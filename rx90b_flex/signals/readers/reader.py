@@ -31,6 +31,8 @@ class Log:
     units : column -> unit, where a row below the names says so.
     assumed : what was taken for likely while reading, a line each.
     twice : names of several columns -> how many; these are left out of `names`, and refused where they can be used.
+    clocks : columns of dates with times, whose values count from the first row -> s since 1970 in that row, by the log's own clock;
+        "time" for `time`.
     """
 
     path: Path
@@ -43,6 +45,7 @@ class Log:
     units: Mapping[str, str] = field(default_factory=dict)
     assumed: tuple[str, ...] = ()
     twice: Mapping[str, int] = field(default_factory=dict)
+    clocks: Mapping[str, float] = field(default_factory=dict)
 
     def column(self, name: str) -> Array:
         """(N,) values of a column."""

@@ -168,6 +168,7 @@ def _read_cells(
     values, notes = np.empty((len(rows), len(header))), [*notes, *told]
     stamps = {c for c, cell in enumerate(rows[0]) if _STAMP.fullmatch(cell.strip().strip('"'))}
     text_columns: set[int] = set()
+    clocks: dict[str, float] = {}
     for r, row in enumerate(rows):
         if len(row) != len(header):
             raise ValueError(f"{path}: row {r + 1} has {len(row)} cells, the header has {len(header)}{cure}")
@@ -187,12 +188,13 @@ def _read_cells(
         if not header[c] and "time" not in header:
             header[c] = "time"  # pandas gives an index no name
         values[:, c] = _seconds(path, header[c], [row[c] for row in rows])
+        clocks[header[c]] = _nanoseconds(_STAMP.fullmatch(rows[0][c].strip().strip('"')), zoned=False) * 1e-9
     units = {header[c]: "s" for c in sorted(stamps) if header[c]}
     notes = [*notes, *(f"column {name!r}: dates with times, as seconds from the first" for name in units)]
     kept = [c for c in range(len(header)) if c not in text_columns and header[c]]
     words = {header[c]: rows[0][c].strip()[:40] for c in sorted(text_columns) if header[c]}
     log = log_of(path, [header[c] for c in kept], values[:, kept], notes)
-    return dataclasses.replace(log, words=words, units=units)
+    return dataclasses.replace(log, words=words, units=units, clocks=clocks)
 
 
 def _without_empty_ends(rows: list[list[str]], header: list[str]) -> tuple[list[list[str]], list[str]]:
@@ -233,14 +235,17 @@ def _seconds(path: Path, name: str, cells: list[str]) -> NDArray[np.float64]:
     return np.array([np.nan if t is None else (t - start) / 1e9 for t in out])
 
 
-def _nanoseconds(found: re.Match[str] | None) -> int:
-    """Since 1970; TypeError without a match, ValueError for a day or hour that does not exist."""
+def _nanoseconds(found: re.Match[str] | None, zoned: bool = True) -> int:
+    """Since 1970, UTC or (not `zoned`) as the clock shows it.
+
+    TypeError without a match, ValueError for a day or hour that does not exist.
+    """
     if found is None:
         raise TypeError
     iso, day_of_month, month, year, clock, fraction, sign, hours, minutes = found.groups()
     day = iso or (f"{year}-{month}-{day_of_month}" if year else "1970-01-01")
     whole = datetime.datetime.fromisoformat(f"{day}T{clock}") - datetime.datetime(1970, 1, 1)
-    zone = int(f"{sign}1") * (60 * int(hours) + int(minutes)) * 60 if sign else 0
+    zone = int(f"{sign}1") * (60 * int(hours) + int(minutes)) * 60 if sign and zoned else 0
     return (whole.days * 86400 + whole.seconds - zone) * 10**9 + int((fraction or "0").ljust(9, "0"))
 
 
