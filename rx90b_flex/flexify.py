@@ -446,6 +446,16 @@ def normalise(urdf: yourdfpy.URDF) -> yourdfpy.URDF:
     return with_robot(urdf, robot)
 
 
+def with_continuous(urdf: yourdfpy.URDF) -> yourdfpy.URDF:
+    """Copy for other programs, in which joints that turn without limits, as `normalise` leaves them, are continuous again."""
+    robot = copy.deepcopy(urdf.robot)
+    for joint in robot.joints:
+        limit = joint.limit
+        if joint.type == "revolute" and limit is not None and limit.upper - limit.lower >= 1.99 * CONTINUOUS_LIMIT:
+            joint.type, limit.lower, limit.upper = "continuous", None, None
+    return with_robot(urdf, robot)
+
+
 def lock(urdf: yourdfpy.URDF, keep: Sequence[str]) -> yourdfpy.URDF:
     """Copy in which every moving joint outside `keep` is fixed at its `neutral_position`.
 

@@ -91,6 +91,18 @@ def test_view_shows_what_flexify_wrote(tmp_path: Path, command: Command) -> None
     assert "joint_1: " not in found.out
 
 
+def test_a_continuous_joint_is_continuous_in_what_is_written(tmp_path: Path, command: Command) -> None:
+    source = "example-robot-data:kinova"  # three joints of six turn without end
+    robot = rf.load_robot(source)
+    for name, arguments in (("f.urdf", ["flexify", source]), ("e.urdf", ["export", source, "--format", "urdf"])):
+        assert command(*arguments, "--out", tmp_path / name).status == 0
+        text = (tmp_path / name).read_text()
+        assert text.count('type="continuous"') == 3 and '"6283' not in text
+        again = rf.load_robot(tmp_path / name)
+        assert set(robot.joints) <= set(again.joints) and again.tree.nq == again.tree.nv == len(again.joints)
+    np.testing.assert_array_equal(again.tree.lowerPositionLimit, robot.tree.lowerPositionLimit)
+
+
 def test_flexify_puts_a_declared_payload_into_its_link(tmp_path: Path, command: Command) -> None:
     rigid = rf.load_robot("rx90b_rigid")
     tip = rigid.tip_frame

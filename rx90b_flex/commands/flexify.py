@@ -37,7 +37,7 @@ def flexify_command(
         places = (list(loaded.joints), list(loaded.joints), False)
     loaded, carried, without = with_carried(loaded)
     flexible = virtual.flexify(virtual.read_xml(loaded.urdf), *places)
-    virtual.write_urdf(flexible, out)
+    virtual.write_urdf(virtual.with_continuous(flexible), out)
     for label in carried:
         say(f"In the links: {label}")
     for lost in (*without, *lost_followers(loaded)):

@@ -6,7 +6,7 @@ import numpy as np
 
 from rx90b_flex.bodies import inconsistencies
 from rx90b_flex.export import with_link_parameters
-from rx90b_flex.flexify import read_xml, to_xml
+from rx90b_flex.flexify import read_xml, to_xml, with_continuous
 from rx90b_flex.simulators.held import Format, Held, Lost
 
 URDF = Format(
@@ -36,4 +36,4 @@ def urdf_text(held: Held) -> tuple[str, tuple[Lost, ...]]:
         Lost(found.link, "no body has its moments of inertia: written as they are, and some simulators refuse them")
         for found in inconsistencies(wanted, [link for link, _ in robot.bodies])
     ]
-    return to_xml(urdf), tuple(lost)
+    return to_xml(with_continuous(urdf)), tuple(lost)
