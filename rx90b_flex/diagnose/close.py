@@ -18,12 +18,14 @@ from rx90b_flex.compiled.compile import told_of_compiling
 from rx90b_flex.diagnose.alternatives import Alternative
 from rx90b_flex.diagnose.basics import declared_robot
 from rx90b_flex.diagnose.beyond_fitted import beyond_fitted
+from rx90b_flex.diagnose.cancelling import cancelling
 from rx90b_flex.diagnose.check import Checked, check
 from rx90b_flex.diagnose.deflection import GearDeflection, gear_deflections, not_in_torques, with_gears
 from rx90b_flex.diagnose.events import Events, events
 from rx90b_flex.diagnose.evidence import Band, Dependence, bands, dependences
 from rx90b_flex.diagnose.identified import identified_robot
 from rx90b_flex.diagnose.kinds import sites_of
+from rx90b_flex.diagnose.known_links import if_links_are_off
 from rx90b_flex.diagnose.loop import ClosingLoop, Progress, Standing
 from rx90b_flex.diagnose.low_pass import beyond_model
 from rx90b_flex.diagnose.motor_turns import turns_of_motor, turns_words
@@ -68,7 +70,6 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 RIGID_BAND = 1 / 3  # of the first frequency with drives held, up to which a rigid model with more inertia does as well
-LINKS_OFF = 0.8  # of the error held out that is left where links are fitted: what they take is no effect's
 TOLD_AGAIN = 2  # loops after the first, each by torque constants that the effects found before tell, at the most
 RIVALS = 5  # refused trials of a round that a result keeps
 
@@ -531,7 +532,7 @@ class _Ended:
         left, predictions = (fitted, (held_out, model.residual_on(held_out))), self._predictions()
         where, seldom = dependences(left, seed), shown_seldom(*left)
         cautions = _cautions(self.source, campaign)
-        links_off, in_doubt = self._if_links_are_off(after.told.validation.relative_error)
+        links_off, in_doubt = if_links_are_off(residual, standing, after.told.validation.relative_error)
         tell("asking how much can be explained at all", 0.97)
         explainable = self._explainable(held_out, predictions, floor)
         known, beyond = explainable if isinstance(explainable, Explainable) else None, self._beyond_model()
@@ -621,7 +622,12 @@ class _Ended:
         """What signals and recordings ask to be said."""
         declared, model = self.declared.identified, self.standing.model.identified
         words = sensor_words(declared, model), _held_words(model), self._beyond_fitted(), _before_moves(predictions)
-        return *(text for each in words for text in each), *self._unlike(predictions)
+        added, held_out = find_added(self.standing.model, self.standing.steps), self.residual.data.held_out
+        return (
+            *(text for each in words for text in each),
+            *cancelling(model, added, held_out),
+            *self._unlike(predictions),
+        )
 
     def _unlike(self, predictions: Sequence[Prediction]) -> tuple[str, ...]:
         """Whether one recording, fitted or held out, was made otherwise than the others."""
@@ -640,31 +646,6 @@ class _Ended:
         left = [r.torque - predicted for r, predicted in zip(data.validation, model.validation, strict=True)]
         told = np.where(np.concatenate([r.waiting for r in data.validation]), 0.0, np.concatenate(left))
         return beyond_fitted(self.residual.campaign.joints, fitted, held_out, told)
-
-    def _if_links_are_off(self, left: float) -> tuple[tuple[str, ...], bool]:
-        """What would be otherwise if links that are declared as known were fitted, and whether that puts the names in doubt.
-
-        One effect that stands for all that is wrong with the links is a name that explains as much with less; several are not.
-        """
-        data, model = self.residual.data, self.standing.model.identified
-        if model.links_fitted:
-            return (), False
-        free = identify(model.regression, model.effects, fit_links=True, start=model, with_covariance=False)
-        less = data.errors(data.validation, free).told.relative_error
-        search, words = Search(free, self.residual.sites), []
-        if less < LINKS_OFF * left:
-            words.append(f"they would leave {less:.2%} of the torque held out instead of {left:.2%}")
-        added = find_added(TorqueModel(free, data), self.standing.steps)
-        spare = [e.label for e in added if not search.without(e).accepted]
-        if spare:
-            words.append(f"{', '.join(spare)} would not be needed")
-        if not words:
-            return (), False
-        text = (
-            f"The links are declared as known. If they were fitted, {' and '.join(words)}: masses or inertias of the URDF may be "
-            'off, and what was added stand for that. inertial_parameters = "fitted" in the robot file asks so.'
-        )
-        return (text,), less < LINKS_OFF * left or len(spare) > 1
 
     def _last_round(self, search: Search) -> LastRound:
         refused = sorted((t for t in self.standing.refused if not t.members), key=lambda t: -t.gain)

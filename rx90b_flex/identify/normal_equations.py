@@ -190,6 +190,8 @@ def coefficients(gram: Array, cross: Array, prior: Array) -> Array:
 
     Of one right-hand side (p,), or several (p, k).
     """
+    if not len(prior):
+        return np.zeros(prior.shape)
     scale = column_scale(np.diag(gram))
     scaled = gram / np.outer(scale, scale)
     factor, failed = linalg.lapack.dpotrf(scaled + RIDGE * np.eye(len(scaled)))

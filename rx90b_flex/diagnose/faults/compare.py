@@ -315,7 +315,7 @@ def _accepted(bases: _Bases, gain: _Gain, rank: int, hypothesis: Hypothesis) -> 
         return True
     # another tree may explain a little more of torques that neither explains
     fair = FAIR if gain.fitted >= LARGE and gain.steady >= STEADY else CREDIBLE
-    return sure >= GAIN and not (KINDS[rank] in ON_POSES and (gaining > fair).any())
+    return sure >= GAIN and not (KINDS[rank] in (*ON_POSES, lengths) and (gaining > fair).any())
 
 
 def _accepted_by_links(bases: _Bases, gain: _Gain, rank: int, hypothesis: Hypothesis) -> bool:
