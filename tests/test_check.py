@@ -354,6 +354,22 @@ def test_rows_that_are_missing_are_no_encoders_that_slip(tmp_path: Path) -> None
     assert all("rows are missing" in f.message and len(f.joints) > 1 for f in slips)
 
 
+def test_samples_that_are_held_where_others_were_lost_are_said_and_no_link_is_too_long(tmp_path: Path) -> None:
+    """Four drop-outs of a bus in each log, of 50 to 110 ms, in which every column stands."""
+    path = ind.write_files(tmp_path, ARM, DECLARED, sound(), cutoff_hz=CUTOFF_HZ)
+    for number, log in enumerate(sorted(tmp_path.glob("log_*.csv"))):
+        rows = np.loadtxt(log, delimiter=",", skiprows=1)
+        rng, rate = np.random.default_rng(number), 1.0 / np.median(np.diff(rows[:, 0]))
+        for begin in (rng.uniform(0.1, 0.9, 4) * len(rows)).astype(int):
+            end = begin + int(rng.uniform(0.05, 0.11) * rate)
+            rows[begin:end, 1:] = rows[begin, 1:]
+        header = log.read_text().splitlines()[0]
+        np.savetxt(log, rows, fmt="%.17g", delimiter=",", header=header, comments="")
+    faults = rf.check(path).data_faults
+    assert {f.kind for f in faults} == {"glitch"}
+    assert all("the last sample before stands for lost ones" in f.message for f in faults)
+
+
 @pytest.mark.slow
 def test_torques_turned_round_in_one_recording_are_not_called_late(tmp_path: Path) -> None:
     *fitted, validated = sound()

@@ -50,6 +50,7 @@ from rx90b_flex.signals.facts import counter_steps, found_period_s, repeats, sen
 from rx90b_flex.signals.stated import JOINT_SIDES
 
 SCHEMA = 1
+BY_MOTION = ("sample_rate", "kinematics", "time_shift")  # kinds that are told by velocities and accelerations
 AT_REST = 0.01  # of a joint's fastest velocity in the recording: slower is at rest
 
 Progress = Callable[[str, float], None]
@@ -249,6 +250,9 @@ def _compared(
     """What may be wrong beside what shows in the log itself, and the look at the data with it mended."""
     other_load, look = stated_load(_look(campaign, recordings, rigid))
     found, look = faults_of(look)
+    if any(f.kind == "glitch" and f.signal == "motor_position" and not f.usable for f in faults):
+        # of motions that step, velocities and accelerations say little
+        found = tuple(f for f in found if f.hypothesis.kind not in BY_MOTION)
     coarse = Coarse(look, recordings)
     faults = [*faults, *clipped(recordings, coarse), *frozen(recordings, coarse), *map(_fault, found)]
     goes = moves_within(recordings) > NEVER

@@ -26,6 +26,8 @@ MILD_SHARE = 1e-3  # of a column's samples
 FEW = 8  # steps that are larger than it at the most
 BESIDE = [1, 1, 0, 1, 1]  # the steps that one is held against
 TOGETHER = 0.25  # of the rows at which any joint steps, at which several do: else by chance
+HELD = "the last sample before stands for lost ones; leave"
+MISSING = "rows are missing; a time column tells how many, or leave"
 TURNS = (2.0 * np.pi, 360.0)  # rad, degrees
 OF_A_TURN, MUCH_OF_A_TURN = 0.02, 0.25  # that a joint moves beside within a sample that wraps round, and in any other
 SHOWN = 20  # rows in a result
@@ -99,17 +101,18 @@ def _turned(recording: Recording) -> tuple[list[DataFault], Recording]:
 def _slips(recording: Recording) -> Iterator[DataFault]:
     """Angles that step from one sample to the next and go on from there: an encoder that slips, or whose zero is set anew.
 
-    Where several joints step at once, rows are missing.
+    Where several joints step at once, rows are missing, or the last one stands for them.
     """
     steps = {j: _steps(values) for j, values in zip(recording.joints, recording.position.T, strict=True)}
     steps = {joint: rows for joint, rows in steps.items() if len(rows)}
     rows, joints_there = np.unique(np.concatenate([[], *steps.values()]).astype(int), return_counts=True)
     together = rows[joints_there > 1]
     if len(together) > TOGETHER * len(rows):
+        held = [i for i in together if i > 1 and not np.diff(recording.position[i - 2 : i + 1], axis=0).any()]
+        lost = HELD if len(held) > TOGETHER * len(together) else MISSING
         message = (
             f"{recording.file_name}: positions of {', '.join(steps)} step at once and go on from there (row "
-            f"{_listed(str(i + 2) for i in together)}): rows are missing; a time column tells how many, or leave these parts out "
-            "(start_s, end_s)."
+            f"{_listed(str(i + 2) for i in together)}): {lost} these parts out (start_s, end_s)."
         )
         yield DataFault("glitch", LABELS["position"], tuple(steps), message, rows=tuple((rows[:SHOWN] + 2).tolist()))
         return
