@@ -14,7 +14,7 @@ from rx90b_flex.diagnose.events import Events
 from rx90b_flex.diagnose.evidence import Dependence
 from rx90b_flex.diagnose.refused import verdict_despite
 from rx90b_flex.diagnose.residual import Errors, RoleErrors
-from rx90b_flex.diagnose.verdict import Remains
+from rx90b_flex.diagnose.verdict import Remains, raised
 from rx90b_flex.diagnose.yardstick import Explainable
 from rx90b_flex.signals.data_fault import DataFault
 
@@ -206,3 +206,9 @@ def test_nothing_is_called_explained_that_is_far_from_both_measures():
     ):
         said = verdict(after, before=(2.1, 2.1), found=found, floor=floor, free=free, where=where)
         assert said in ("partly_explained", "unexplained"), (after, free, floor, where, found)
+
+
+def test_a_joint_whose_error_rises_by_what_was_added_is_said() -> None:
+    before, after = (Errors(0.1, rms) for rms in ((0.36, 1.0, 0.0), (0.61, 0.5, 0.1)))
+    (text,) = raised(("j2", "j3", "j4"), before, after)
+    assert "j2, held out, to 1.69 times" in text

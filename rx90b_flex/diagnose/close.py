@@ -51,7 +51,7 @@ from rx90b_flex.diagnose.torque import (
 from rx90b_flex.diagnose.torque_units import Torques, sensor_words
 from rx90b_flex.diagnose.trial import TorqueTrial
 from rx90b_flex.diagnose.unlike_noise import Bursts, Course, unlike_noise
-from rx90b_flex.diagnose.verdict import Remains
+from rx90b_flex.diagnose.verdict import Remains, raised
 from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
 from rx90b_flex.early import check_jobs
 from rx90b_flex.effects import Effect
@@ -570,6 +570,7 @@ class _Ended:
                 *constants,
                 *beyond,
                 *self._said(predictions),
+                *raised(campaign.joints, before.validation, after.validation),
                 *([] if remains.nothing else self._happened(happened, known)),
                 *(s.words for s in seldom),
                 *(s.words for s in self._frictions(left)),

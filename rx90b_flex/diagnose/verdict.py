@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from rx90b_flex.diagnose.events import Events
 from rx90b_flex.diagnose.evidence import Dependence
 from rx90b_flex.diagnose.free_form import NO_FORM
 from rx90b_flex.diagnose.loop import verdict
-from rx90b_flex.diagnose.residual import RoleErrors
+from rx90b_flex.diagnose.residual import Errors, RoleErrors
 from rx90b_flex.diagnose.yardstick import Explainable
 from rx90b_flex.effects.motion import Array, Mask
 
@@ -23,6 +23,17 @@ NEAR_FREE = 1.1  # a joint's error over that of its free form that is no sign of
 MOST_LEFT = 0.5  # of a joint's torque: what no free form predicts and no noise is known to be is not explained either
 NOTHING = 1e-4  # of the torque: less than any torque is measured to, as of recordings that somebody computed
 DEPENDS_FREE = 1.05  # and that is none either where the joint's residual still depends on a signal
+RAISED = 1.15  # times a joint's error held out, by all that was added: said, whatever the others gain
+
+
+def raised(joints: Sequence[str], before: Errors, after: Errors) -> Iterator[str]:
+    """That what was added raises a joint's error on recordings that were not fitted, one caution a joint."""
+    for joint, less, more in zip(joints, before.told.torque_rms, after.told.torque_rms, strict=True):
+        if more > RAISED * less > 0.0:
+            yield (
+                f"What was added raises the error of {joint}, held out, to {more / less:.3g} times what it was: it is no law of that "
+                "joint, whatever others gain by it."
+            )
 
 
 @dataclass(frozen=True, eq=False)
