@@ -570,7 +570,6 @@ class _Ended:
                 *constants,
                 *beyond,
                 *self._said(predictions),
-                *raised(campaign.joints, before.validation, after.validation),
                 *([] if remains.nothing else self._happened(happened, known)),
                 *(s.words for s in seldom),
                 *(s.words for s in self._frictions(left)),
@@ -624,9 +623,11 @@ class _Ended:
         declared, model = self.declared.identified, self.standing.model.identified
         words = sensor_words(declared, model), _held_words(model), self._beyond_fitted(), _before_moves(predictions)
         added, held_out = find_added(self.standing.model, self.standing.steps), self.residual.data.held_out
+        before, after = self.declared.errors, self.standing.model.errors
         return (
             *(text for each in words for text in each),
             *cancelling(model, added, held_out),
+            *raised(self.residual.campaign.joints, before.validation, after.validation),
             *self._unlike(predictions),
         )
 
