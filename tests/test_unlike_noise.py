@@ -81,7 +81,7 @@ def test_no_noise_has_a_course_or_bursts(memory: float, seconds: float) -> None:
         rms = np.ones(6)
         left = [coloured(rng, samples, rms, memory) if memory else white(rng, samples, rms) for _ in range(2)]
         found += len(list(unlike_noise(names, [RATE_HZ] * 2, [5.0 * v] * 2, left, [v] * 2)))
-    assert found <= 1  # of six hundred
+    assert found <= 1  # of three hundred
 
 
 def test_what_is_no_noise_is_told_of_its_joint_alone() -> None:
