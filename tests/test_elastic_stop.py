@@ -30,7 +30,11 @@ def test_an_elastic_stop_is_a_curve(tmp_path, seed):
     result = rf.close_loop(write_files(tmp_path, arm, declared, runs, cutoff_hz=20.0))
     names = [(e.effect.type_name(), e.effect.joints) for e in result.effects]
     assert names.count(("angle_curve", (arm.joints[1],))) == 1
-    assert len(names) <= 3  # where a law came before the curve, or finds the corner that this rounds off
+    # where laws came before the curve, or find the corner that this rounds off: small beside it, how many differs between processors
+    curve = next(e.effect for e in result.effects if e.effect.type_name() == "angle_curve")
+    size = float(np.ptp(curve.known_coefficients()))
+    others = [e.effect.known_coefficients() for e in result.effects if e.effect is not curve]
+    assert len(others) <= 3 and all(np.abs(values).max() < 0.05 * size for values in others)
     assert result.verdict in ("explained", "partly_explained")
     # where the fitted recordings have been: beyond that no curve knows how hard the stop is
     (held_out,) = result.predictions
