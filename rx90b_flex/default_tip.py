@@ -27,7 +27,8 @@ def default_tip(tree: pin.Model, leaders: Collection[str] = ()) -> str:
     """
     bodies = [f for f in tree.frames if f.type == pin.FrameType.BODY]
     tip = max(reversed(bodies), key=lambda f: len(_before(tree, f.parentJoint)))
-    if not (_slides(tree, tip.parentJoint) or is_finger_frame(tree, tip.name, leaders)):
+    finger = _slides(tree, tip.parentJoint) or is_finger_frame(tree, tip.name, leaders)
+    if not finger or _rank_of_tool(tip.name) is not None:  # a tool behind a slide, as a SCARA's, is no finger
         return str(tip.name)
     before = _before(tree, tip.parentJoint)
     tools = [(f, rank) for f in bodies if f.parentJoint in before and (rank := _rank_of_tool(f.name)) is not None]

@@ -190,6 +190,21 @@ def test_a_finger_that_is_all_there_is_is_said(tmp_path: Path, command: Command,
     assert found.status == 0 and "a finger" not in found.out
 
 
+def test_a_tool_behind_a_slide_stays_the_tip_whatever_is_named_before_it(tmp_path: Path) -> None:
+    """As of a SCARA: the quill slides, and is no finger."""
+    body = '<inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
+    limit = '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="9" velocity="9"/>'
+    chain = [("a", "revolute", "base", "arm"), ("b", "fixed", "arm", "flange"), ("z", "prismatic", "arm", "quill")]
+    chain += [("c", "fixed", "quill", "tool0")]
+    joints = "".join(
+        f'<joint name="{n}" type="{kind}"><parent link="{p}"/><child link="{c}"/>{limit * (kind != "fixed")}</joint>'
+        for n, kind, p, c in chain
+    )
+    links = "".join(f'<link name="{n}">{body}</link>' for n in ("base", "arm", "flange", "quill", "tool0"))
+    (tmp_path / "scara.urdf").write_text(f'<robot name="scara">{links}{joints}</robot>')
+    assert rf.load_robot(tmp_path / "scara.urdf").tip_frame == "tool0"
+
+
 def test_the_last_link_is_the_tip_where_it_is_no_finger() -> None:
     assert rf.load_robot(UR10).tip_frame == rf.load_robot("rx90b").tip_frame == "tool0"
     assert rf.load_robot("example-robot-data:xarm7").tip_frame == "link_eef"

@@ -101,19 +101,20 @@ def carried(
     centre: tuple[float, float, float],
     stated: float = 0.0,
     said: tuple[float, float, float] | None = None,
+    frame: str = "ee_link",
 ) -> Path:
     """A UR5 of known links with a mass at its tip, of which so much is stated, there or elsewhere."""
     arm, rng, noise = ind.ur5(), np.random.default_rng(2), 0.03 * np.array([1.0, 20.0, 5.0, 1.0, 1.0, 1.0])
     runs = []
     for role in ("identification", "identification", "validation"):
         m = ind.harmonics(rng, 6, period_s=15.0)
-        torques = [ind.friction(20.0 * noise, 15.0 * noise), ind.carrying(arm, "ee_link", mass, centre)]
+        torques = [ind.friction(20.0 * noise, 15.0 * noise), ind.carrying(arm, frame, mass, centre)]
         runs.append(ind.run(arm, role, m, torques, ind.white(rng, len(m.time), noise)))
     kinds = ("coulomb_friction", "viscous_friction", "drive_inertia", "torque_offset")
     tables = [{"type": k, "joint": j} for j in arm.joints for k in kinds]
     path = ind.write_files(folder, arm, tables, runs, cutoff_hz=15.0, known=True)
     robot = folder / "robot_declared.toml"
-    robot.write_text(f'tip_frame = "ee_link"\n{robot.read_text()}')
+    robot.write_text(f'tip_frame = "{frame}"\n{robot.read_text()}')
     if stated:
         head, *recordings = path.read_text().split("[[recording]]")
         payload = f"payload = {{ mass = {stated}, centre = {list(said or centre)} }}\n"
@@ -178,6 +179,12 @@ def test_a_payload_that_is_not_the_stated_one_is_said_and_is_no_gain_of_motors(
     found, std, place = _numbers(fault.message)
     assert abs(found - mass) < max(4.0 * std, 0.02) and np.abs(np.array(place) - AT).max() < 0.005
     assert mass == stated or fault.factor == pytest.approx(stated / mass, rel=0.03)
+
+
+def test_a_payload_of_a_frame_before_the_last_link_is_told_in_that_frame(tmp_path: Path) -> None:
+    (fault,) = rf.check(carried(tmp_path, 1.0, AT, 2.0, frame="wrist_1_link")).data_faults
+    found, std, place = _numbers(fault.message)
+    assert abs(found - 1.0) < max(4.0 * std, 0.02) and np.abs(np.array(place) - AT).max() < 0.005
 
 
 def test_a_payload_as_stated_is_no_fault(tmp_path: Path) -> None:

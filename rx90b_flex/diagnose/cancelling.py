@@ -35,10 +35,11 @@ def cancelling(model: Identification, added: Sequence[Effect], held_out: Regress
             continue
         together = float(np.sum([torque for _, torque in each], axis=0).std())
         sizes = [(effect.label, float(torque.std())) for effect, torque in each]
-        large = [f"{name} ({size:.3g} N m rms)" for name, size in sizes if size > TIMES * together]
+        unit = seen.robot.force_unit((seen.joints[row],))
+        large = [f"{name} ({size:.3g} {unit} rms)" for name, size in sizes if size > TIMES * together]
         if len(large) > 1:
             yield (
-                f"On {seen.joints[row]}, {' and '.join(large)} mostly cancel: together they change its torque by {together:.3g} N m "
-                "rms. Their own values and standard deviations say little, their sum does: a law that the catalogue does not have "
-                "may stand behind them."
+                f"On {seen.joints[row]}, {' and '.join(large)} mostly cancel: together they change its torque by {together:.3g} "
+                f"{unit} rms. Their own values and standard deviations say little, their sum does: a law that the catalogue does not "
+                "have may stand behind them."
             )

@@ -11,18 +11,14 @@ from scipy import fft
 from rx90b_flex.diagnose.moving import begun, resting_each
 from rx90b_flex.effects.motion import Array
 
-FIRST, NEXT = (
-    slice(1, 3),
-    slice(6, 26),
-)  # cosines over a recording: of its course, and those that noise without one has as much of
+# cosines over a recording: of its course, and those of which noise without one has as much
+FIRST, NEXT = slice(1, 3), slice(6, 26)
 STEEP = 20.0  # times the mean power of the next cosines; of 1/f noise it is about ten
 COURSE = 0.2  # of a joint's squared error
 SHORTEST_S = 10.0  # of a recording: in less, noise that remembers for a quarter of a second looks so, too
 RESTS = 0.2  # of the rows at rest, beyond which friction that holds makes any course
 PART_S = 0.1  # length of the parts of time that are compared
-FEW = (
-    0.1  # of the parts in motion: so many hold a quarter to two fifths of the squared error of noise, white or coloured
-)
+FEW = 0.1  # of the parts in motion: of noise, white or coloured, they hold a quarter to two fifths of the squared error
 BURSTS = 0.5  # of the squared error in them
 LARGE = 0.05  # of the torque's standard deviation: friction's changes of sign leave as small ones
 

@@ -30,16 +30,15 @@ def carried_parameters(robot: Robot, load: FlangeLoad) -> Array:
         No joint moves the tip frame, so the load does not show in any torque.
     """
     frame = robot.model.frames[robot.model.getFrameId(robot.tip_frame)]
-    at = LINK * link_of_tip(robot)
+    link = link_of_tip(robot)
+    if link is None:
+        raise ValueError(f"payload: no joint of {robot.name} moves its tip frame {robot.tip_frame!r}")
     out = np.zeros(LINK * len(robot.bodies))
-    out[at : at + LINK] = load.mass * unit_body(frame.placement.act(np.array(load.centre)))
+    out[LINK * link : LINK * (link + 1)] = load.mass * unit_body(frame.placement.act(np.array(load.centre)))
     return out
 
 
-def link_of_tip(robot: Robot) -> int:
-    """Number of the link that the tip frame belongs to, among `robot.bodies`; for errors see `carried_parameters`."""
-    frame = robot.model.frames[robot.model.getFrameId(robot.tip_frame)]
-    places = [i for i, (_, joint) in enumerate(robot.bodies) if joint == frame.parentJoint]
-    if not places:
-        raise ValueError(f"payload: no joint of {robot.name} moves its tip frame {robot.tip_frame!r}")
-    return places[0]
+def link_of_tip(robot: Robot) -> int | None:
+    """Number of the link that the tip frame belongs to, among `robot.bodies`; None where no joint moves it."""
+    joint = robot.model.frames[robot.model.getFrameId(robot.tip_frame)].parentJoint
+    return next((i for i, (_, own) in enumerate(robot.bodies) if own == joint), None)

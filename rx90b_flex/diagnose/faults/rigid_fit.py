@@ -12,7 +12,7 @@ from scipy import linalg
 from rx90b_flex.diagnose.faults.sample import FOLDS, Reading, Sample, other_effects
 from rx90b_flex.effects import Effect, Motion
 from rx90b_flex.effects.motion import Array, Indices
-from rx90b_flex.identify.carried import LINK, carried_parameters
+from rx90b_flex.identify.carried import LINK, carried_parameters, link_of_tip
 
 RIDGE = 1e-6  # of a column's square: holds what the data do not tell near the URDF's values
 NEAR = 1.0  # the same where they may be a little off
@@ -145,7 +145,7 @@ def _by_fold(fold: Indices) -> tuple[Indices, Array]:
 
 def columns_of(sample: Sample, reading: Reading) -> Array:
     """Columns (R, joints, p), zero where a row does not count: links, then five a joint, then what else is declared, then the torque
-    of stated loads, then a last link of some recordings' own.
+    of stated loads, then a link of the tip of some recordings' own.
     """
     robot, joints = reading.robot, sample.joints
     seen = sample.motion(reading)
@@ -165,7 +165,8 @@ def columns_of(sample: Sample, reading: Reading) -> Array:
         ]
         more.append(np.einsum("rjp,rp->rj", links, sample.by_rows(stated))[:, :, None])
     if any(log.other_load for log in reading.logs):
-        more.append(links[:, :, -LINK:] * sample.in_logs(reading, "other_load")[:, None, None])
+        at = LINK * (len(robot.bodies) - 1 if (link := link_of_tip(robot)) is None else link)
+        more.append(links[:, :, at : at + LINK] * sample.in_logs(reading, "other_load")[:, None, None])
     if reading.carried:
         links, *more = (np.einsum("kj,rjp->rkp", reading.torques_to_motors, x) for x in (links, *more))
     return np.concatenate([links, own, *more], axis=2) * sample.left_seen(reading)[:, :, None]

@@ -66,15 +66,10 @@ class _Other:
     def fault(self, look: Look) -> DataFault:
         known = look.reading.robot.inertial_parameters == "known"
         of_all = len(self.recordings) == len(look.sample.tracks)
-        whose = (
-            "The recordings state" if of_all else f"{', '.join(name_of(look, r) for r in self.recordings)}: stated is"
-        )
-        part = self.mass / self.stated.mass
-        alike = (
-            f"; or bring the torques to N m: all being {part:.3g} times the true ones looks the same."
-            if self.off
-            else "."
-        )
+        names = ", ".join(name_of(look, r) for r in self.recordings)
+        whose = "The recordings state" if of_all else f"{names}: stated is"
+        part = f"; or bring the torques to N m: all being {self.mass / self.stated.mass:.3g} times the true ones looks the same."
+        alike = part if self.off else "."
         true, beside = self.true, " with the links that the robot file calls known" if known else ""
         text = (
             f"{whose} a payload of {self.stated.mass:g} kg {_at(self.stated.centre)};{beside} the torques go with "
