@@ -12,6 +12,7 @@ from test_measured_tip import LINE, checked, tracker, write
 from rx90b_flex.path import compare_measured
 from rx90b_flex.path.pairing import nearest_on_path, unmeasured
 from rx90b_flex.path.planning import HOLD_S
+from rx90b_flex.view.measured_section import measured_along_path
 
 Array = NDArray[np.float64]
 POINTS = 20001
@@ -127,6 +128,10 @@ def test_a_hole_of_the_measurement_is_said(timed: bool, tmp_path: Path) -> None:
     assert found.seen == pytest.approx(1.0 - np.diff(hole)[0] / 80.0, abs=0.03)
     assert "% of the path that were measured (not on" in found.sentence
     assert found.difference.max_across < 5e-3
+    # the figure's lines run along the path and leave the hole out
+    for ax in measured_along_path(found).axes:
+        x, y = np.array(ax.lines[-1].get_data())
+        assert (np.diff(x) >= 0.0).all() and np.isnan(y[(x > hole[0] + 5.0) & (x < hole[1] - 5.0)]).tolist() == [True]
 
 
 def test_sparse_places_are_no_holes() -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 from matplotlib.figure import Figure
 
+from rx90b_flex.effects.motion import Array
 from rx90b_flex.path.check import Deviation
 from rx90b_flex.path.measured import MeasuredTip
 from rx90b_flex.view.axes import AFTER, BEFORE, MEASURED, REACHED, legend, new_figure
@@ -48,15 +50,23 @@ def measured_along_path(of: MeasuredTip) -> Figure:
             ("measured", of.measured, MEASURED, "-"),
             ("predicted", of.predicted, AFTER, "--"),
         ):
-            ax.plot(tip.distance_mm, getattr(tip, part), color=colour, linestyle=style, linewidth=1.1, label=name)
+            ax.plot(*_drawn(of, tip, getattr(tip, part)), color=colour, linestyle=style, linewidth=1.1, label=name)
         ax.set_ylabel(f"deviation {part},\nmm")
         legend(ax)
     bottom = axes[2]
     bottom.axhspan(0.0, of.tolerance_mm, color=REACHED, alpha=0.15, linewidth=0.0, label="tolerance")
     off = of.difference
-    bottom.plot(off.distance_mm, off.across, color=BEFORE, linewidth=1.1, label=NAMES["difference"])
+    bottom.plot(*_drawn(of, off, off.across), color=BEFORE, linewidth=1.1, label=NAMES["difference"])
     bottom.set(xlabel="distance along the path, mm", ylabel="across, mm", xlim=(0.0, off.length_mm))
     bottom.set_ylim(bottom=0.0)
     legend(bottom)
     figure.align_ylabels()
     return figure
+
+
+def _drawn(of: MeasuredTip, tip: Deviation, values: Array) -> tuple[Array, Array]:
+    """Places along the path, whatever the order of the measurement, and values there, with gaps where nothing was measured."""
+    middle = np.array([(a + b) / 2.0 for a, b in of.unmeasured_mm])
+    distance, values = np.r_[tip.distance_mm, middle], np.r_[values, np.full(len(middle), np.nan)]
+    at = np.argsort(distance, kind="stable")
+    return distance[at], values[at]
