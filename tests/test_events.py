@@ -10,7 +10,7 @@ from independent import Array, Motion, friction, harmonics, run, two_joints, whi
 
 import rx90b_flex as rf
 from rx90b_flex.diagnose.events import events
-from rx90b_flex.diagnose.moving import held_at_first, waiting
+from rx90b_flex.diagnose.moving import TorqueErrors, held_at_first, waiting
 
 RATE_HZ, JOINTS = 200.0, ("waist", "elbow")
 TIME = np.arange(int(20 * RATE_HZ)) / RATE_HZ
@@ -22,8 +22,12 @@ def bump(at_s: float, size: float, lasts_s: float = 0.15) -> Array:
     return size * np.exp(-(((TIME - at_s) / lasts_s) ** 2))
 
 
+def errors(left: Array, velocity: Array = VELOCITY) -> TorqueErrors:
+    return TorqueErrors(JOINTS, ["a"], [RATE_HZ], [velocity], [left], [velocity])
+
+
 def found(left: Array, velocity: Array = VELOCITY) -> list[str]:
-    return [e.words(False) for e in events(JOINTS, ["a"], [RATE_HZ], [left], [velocity])]
+    return [e.words(False) for e in events(errors(left, velocity))]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -57,7 +61,7 @@ def test_neither_the_beginning_nor_rests_hold_events():
 def test_what_hysteresis_holds_as_a_recording_begins_is_no_event():
     for at_s, held in ((0.7, "presliding_friction"), (6.0, "")):
         left = NOISE + np.column_stack([0 * TIME, bump(at_s, 60.0)])
-        (one,) = events(JOINTS, ["a"], [RATE_HZ], [left], [VELOCITY], {"elbow": "presliding_friction"})
+        (one,) = events(errors(left), {"elbow": "presliding_friction"})
         assert one.held_by == held
         assert ("what presliding_friction holds as a recording begins" in one.words(False)) == bool(held)
 

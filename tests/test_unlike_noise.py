@@ -10,6 +10,7 @@ import pytest
 from independent import Array, Motion, coloured, friction, harmonics, run, two_joints, white, write_files
 
 import rx90b_flex as rf
+from rx90b_flex.diagnose.moving import TorqueErrors
 from rx90b_flex.diagnose.unlike_noise import Bursts, Course, unlike_noise
 
 NOISE = (0.3, 0.2)  # N m
@@ -80,7 +81,7 @@ def test_no_noise_has_a_course_or_bursts(memory: float, seconds: float) -> None:
     for _ in range(50):
         rms = np.ones(6)
         left = [coloured(rng, samples, rms, memory) if memory else white(rng, samples, rms) for _ in range(2)]
-        found += len(list(unlike_noise(names, [RATE_HZ] * 2, [5.0 * v] * 2, left, [v] * 2)))
+        found += len(list(unlike_noise(TorqueErrors(names, "ab", [RATE_HZ] * 2, [5.0 * v] * 2, left, [v] * 2))))
     assert found <= 1  # of three hundred
 
 
@@ -91,7 +92,7 @@ def test_what_is_no_noise_is_told_of_its_joint_alone() -> None:
     left = 0.2 * rng.normal(size=v.shape)
     left[:, 0] += 0.4 * (t / t[-1] - 0.5)
     left[::350, 2] += 12.0
-    (course, bursts) = unlike_noise(["a", "b", "c"], [rate], [3.0 * v], [left], [v])
+    (course, bursts) = unlike_noise(TorqueErrors(["a", "b", "c"], ["first"], [rate], [3.0 * v], [left], [v]))
     assert isinstance(course, Course) and course.joint == "a"
     assert isinstance(bursts, Bursts) and bursts.joint == "c"
     assert course.share == pytest.approx(0.4**2 / 12.0 / (0.4**2 / 12.0 + 0.04), abs=0.06)

@@ -29,7 +29,7 @@ from rx90b_flex.diagnose.known_links import if_links_are_off
 from rx90b_flex.diagnose.loop import ClosingLoop, Progress, Standing
 from rx90b_flex.diagnose.low_pass import beyond_model
 from rx90b_flex.diagnose.motor_turns import turns_of_motor, turns_words
-from rx90b_flex.diagnose.moving import MovingErrors, held_at_first
+from rx90b_flex.diagnose.moving import MovingErrors, TorqueErrors, held_at_first
 from rx90b_flex.diagnose.other_friction import OtherFriction, other_friction
 from rx90b_flex.diagnose.refused import OfCampaign, RefusedLoop, verdict_despite
 from rx90b_flex.diagnose.replayed import ROLES, replayed
@@ -537,9 +537,9 @@ class _Ended:
         explainable = self._explainable(held_out, predictions, floor)
         known, beyond = explainable if isinstance(explainable, Explainable) else None, self._beyond_model()
         doubtful = bool(cautions) or in_doubt or (floor is None and bool(beyond))
-        happened = _events(campaign.joints, predictions, model.effects)
-        odd = [e for e in happened if not e.held_by]
-        drifts = _no_noise(campaign, predictions, odd)
+        errors = _errors(predictions, campaign.joints)
+        happened = events(errors, _remembering(model.effects))
+        odd, drifts = [e for e in happened if not e.held_by], _no_noise(errors, campaign.cutoff_hz, happened)
         spread, found = np.concatenate([p.torque for p in predictions]).std(axis=0), bool(standing.steps)
         scaled = {j for e in model.effects if e.traits.multiplies for j in e.joints}
         rest = (where, doubtful, spread, odd, bool(drifts or seldom), self._curved)
@@ -582,7 +582,8 @@ class _Ended:
         campaign, after = self.residual.campaign, self.standing.model.errors
         follows = known.less_of(campaign.joints, after.validation.told) if known else []
         yield from (e.words(e.joint in follows) for e in held_out)
-        fitted = _events_fitted(campaign, self.standing.model.identified)
+        model = self.standing.model.identified
+        fitted = events(_errors_fitted(campaign, model), _remembering(model.effects))
         yield from (e.words(False) for e in fitted if not e.held_by)
 
     def _frictions(self, left: tuple[tuple[Regression, Array], ...]) -> Iterator[OtherFriction]:
@@ -697,21 +698,19 @@ def _check_torques(campaign: Campaign) -> None:
             )
 
 
-def _events(joints: Sequence[str], predictions: Sequence[Prediction], effects: Sequence[Effect]) -> tuple[Events, ...]:
-    recordings = [p.recording for p in predictions]
-    left, velocity = [p.torque - p.after for p in predictions], [p.velocity for p in predictions]
-    rates = [r.sample_rate_hz for r in recordings]
-    return events(joints, [r.name for r in recordings], rates, left, velocity, _remembering(effects))
+def _errors(predictions: Sequence[Prediction], joints: Sequence[str]) -> TorqueErrors:
+    names, rates = zip(*((p.recording.name, p.recording.sample_rate_hz) for p in predictions), strict=True)
+    torque, left, velocity = zip(*((p.torque, p.torque - p.after, p.velocity) for p in predictions), strict=True)
+    return TorqueErrors(joints, names, rates, torque, left, velocity)
 
 
-def _events_fitted(campaign: Campaign, model: Identification) -> tuple[Events, ...]:
+def _errors_fitted(campaign: Campaign, model: Identification) -> TorqueErrors:
     """The same of the recordings that the model was fitted to, in the rows of its fit."""
     regression, joints, names = model.regression.motors, campaign.joints, [r.name for r in campaign.identification]
+    of_each = ((s.rate_hz, s.torque, s.velocity, s.kept.start / s.rate_hz) for s in regression.segments)
+    rates, torque, velocity, begins = zip(*of_each, strict=True)
     left = [model.residual[span, : len(joints)] for span in regression.spans]
-    rates, velocity = [s.rate_hz for s in regression.segments], [s.velocity for s in regression.segments]
-    begins = [s.kept.start / s.rate_hz for s in regression.segments]
-    found = events(joints, names, rates, left, velocity, _remembering(model.effects), begins)
-    return tuple(dataclasses.replace(e, role="in the recordings that were fitted") for e in found)
+    return TorqueErrors(joints, names, rates, torque, left, velocity, begins, "in the recordings that were fitted")
 
 
 def _remembering(effects: Sequence[Effect]) -> dict[str, str]:
@@ -719,15 +718,13 @@ def _remembering(effects: Sequence[Effect]) -> dict[str, str]:
 
 
 def _no_noise(
-    campaign: Campaign, predictions: Sequence[Prediction], odd: Sequence[Events]
+    errors: TorqueErrors, cutoff_hz: float | None, happened: Sequence[Events]
 ) -> tuple[Slow | SlowAtRest | Course | Bursts, ...]:
     """What of held-out errors is too slow for noise, or comes in bursts that are no single events."""
-    rates = [p.recording.sample_rate_hz for p in predictions]
-    torque, left, v = zip(*((p.torque, p.torque - p.after, p.velocity) for p in predictions), strict=True)
-    errors = ErrorsInTime.of(campaign.joints, rates, campaign.cutoff_hz, torque, left, v)
-    slow, at_rest = errors.slow(), errors.at_rest()
-    known = {x.joint for x in slow} | {x.joint for x in odd}
-    others = [x for x in unlike_noise(campaign.joints, rates, torque, left, v) if x.joint not in known]
+    in_time = ErrorsInTime.of(errors, cutoff_hz)
+    slow, at_rest = in_time.slow(), in_time.at_rest()
+    known = {x.joint for x in slow} | {x.joint for x in happened if not x.held_by}
+    others = [x for x in unlike_noise(errors) if x.joint not in known]
     return (*slow, *([] if at_rest is None else [at_rest]), *others)
 
 

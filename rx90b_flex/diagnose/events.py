@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rx90b_flex.diagnose.moving import FIRST_S, begun, resting_each
-from rx90b_flex.effects.motion import Array
+from rx90b_flex.diagnose.moving import FIRST_S, TorqueErrors
 
 PART_S = 0.25  # length of the parts of time that are compared; the last one, where a low-pass has no neighbours, is not
 REST_S = 0.05  # where a joint rests for longer, its friction depends on what was before, and any model errs
@@ -62,46 +61,32 @@ class Events:
         )
 
 
-def events(
-    joints: Sequence[str],
-    names: Sequence[str],
-    rates_hz: Sequence[float],
-    left: Sequence[Array],
-    velocity: Sequence[Array],
-    remembering: Mapping[str, str] | None = None,
-    begins_s: Sequence[float] = (),
-) -> tuple[Events, ...]:
+def events(errors: TorqueErrors, remembering: Mapping[str, str] | None = None) -> tuple[Events, ...]:
     """Those of all joints, one entry a joint.
 
     Parameters
     ----------
-    joints, names : sequence of str
-        Of the columns, and of the recordings.
-    rates_hz : sequence of float
-        Sample rates.
-    left, velocity : sequence of arrays, each (N, joints)
-        Torque error, N m (N), and velocity, rad/s (m/s), of every recording of one role.
+    errors : TorqueErrors
+        In every recording of one role.
     remembering : mapping of str to str
         Joint -> name of what acts there and remembers the motion before.
-    begins_s : sequence of float, optional
-        Time of each first row from its recording's beginning, s; zero where not given.
     """
-    rest = resting_each(velocity)
-    since = [begun(still, rate) for still, rate in zip(rest, rates_hz, strict=True)]
+    begins = errors.begins_s or [0.0] * len(errors.names)
     out = []
-    for j, joint in enumerate(joints):
+    for j, joint in enumerate(errors.joints):
         parts = [
-            _Part(name, begin + (edges[0] + edges[-1]) / 2 / rate, float((error[edges, j] ** 2).sum()), len(edges))
-            for name, rate, begin, error, there, still in zip(
-                names, rates_hz, begins_s or [0.0] * len(names), left, since, rest, strict=True
+            _Part(name, begin + (edges[0] + edges[-1]) / 2 / rate, float((left[edges, j] ** 2).sum()), len(edges))
+            for name, rate, begin, left, there, still in zip(
+                errors.names, errors.rates_hz, begins, errors.left, errors.since, errors.still, strict=True
             )
-            for edges in np.array_split(np.arange(len(error)), max(1, round(len(error) / rate / PART_S)))[:-1]
+            for edges in np.array_split(np.arange(len(left)), max(1, round(len(left) / rate / PART_S)))[:-1]
             if len(edges) and there[edges[0], j] and still[edges, j].sum() <= REST_S * rate
         ]
         found = _of(joint, parts)
         if found is not None:
             first = all(time < FIRST_S for _, time in found.at)
-            out.append(dataclasses.replace(found, held_by=(remembering or {}).get(joint, "") if first else ""))
+            held_by = (remembering or {}).get(joint, "") if first else ""
+            out.append(dataclasses.replace(found, held_by=held_by, role=errors.role))
     return tuple(out)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -16,6 +17,44 @@ RINGS = 1e-5  # of it, below which a velocity is none but a filter's
 MOSTLY = 0.5  # of the squared error
 FIRST_S = 1.0  # of a recording, in which what remembers the motion still acts as what was before has it
 BEGINNING_S = 0.5  # from a joint's first move on: what friction does there depends on what was before the recording
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueErrors:
+    """Torques and what a model leaves of them in recordings of one role.
+
+    Attributes
+    ----------
+    joints, names : sequence of str
+        Of the columns, and of the recordings.
+    rates_hz : sequence of float
+        Sample rates.
+    torque, left, velocity : sequences of arrays, each (N, joints)
+        Torque and its error, N m (N), and velocity, rad/s (m/s).
+    begins_s : sequence of float
+        Time of each first row from its recording's beginning, s; zero where none is given.
+    role : str
+        Of the recordings, as words say it.
+    """
+
+    joints: Sequence[str]
+    names: Sequence[str]
+    rates_hz: Sequence[float]
+    torque: Sequence[Array]
+    left: Sequence[Array]
+    velocity: Sequence[Array]
+    begins_s: Sequence[float] = ()
+    role: str = "held out"
+
+    @cached_property
+    def still(self) -> list[Mask]:
+        """Rows in which each joint stands still."""
+        return resting_each(self.velocity)
+
+    @cached_property
+    def since(self) -> list[Mask]:
+        """Rows from when each joint first moved on (`begun`)."""
+        return [begun(still, rate) for still, rate in zip(self.still, self.rates_hz, strict=True)]
 
 
 @dataclass(frozen=True)

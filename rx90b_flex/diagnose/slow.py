@@ -5,13 +5,12 @@ At rest nothing holds it but dry friction: a controller that integrates lets a t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import signal
 
-from rx90b_flex.diagnose.moving import begun, resting_each
+from rx90b_flex.diagnose.moving import TorqueErrors
 from rx90b_flex.effects.motion import Array, Mask
 
 SLOW_HZ = 2.0  # below which noise has little of its power
@@ -100,40 +99,21 @@ class ErrorsInTime:
     hz: float
 
     @staticmethod
-    def of(
-        joints: Sequence[str],
-        rates_hz: Sequence[float],
-        cutoff_hz: float | None,
-        torque: Sequence[Array],
-        left: Sequence[Array],
-        velocity: Sequence[Array],
-    ) -> ErrorsInTime:
-        """From every held-out recording.
-
-        Parameters
-        ----------
-        joints : sequence of str
-            Of the columns.
-        rates_hz : sequence of float
-            Sample rates.
-        cutoff_hz : float or None
-            Of the low-pass that torques went through.
-        torque, left, velocity : sequence of arrays, each (N, joints)
-            Torque and its error, N m (N), and velocity, rad/s (m/s).
-        """
+    def of(errors: TorqueErrors, cutoff_hz: float | None) -> ErrorsInTime:
+        """From every held-out recording, with the cutoff of the low-pass that torques went through."""
         hz = SLOW_HZ if cutoff_hz is None else min(SLOW_HZ, PASSED * cutoff_hz)
-        rest = resting_each(velocity)
-        since = [begun(still, rate) for still, rate in zip(rest, rates_hz, strict=True)]
-        told = [np.where(there, error, 0.0) for there, error in zip(since, left, strict=True)]
+        told = [np.where(there, left, 0.0) for there, left in zip(errors.since, errors.left, strict=True)]
         smooth, mean = [], []
-        for rate, error in zip(rates_hz, told, strict=True):
+        for rate, error in zip(errors.rates_hz, told, strict=True):
             passes = signal.butter(ORDER, min(hz, 0.45 * rate), fs=rate, output="sos")
             padding = min(len(error) - 1, int(rate / hz))
             smooth.append(signal.sosfiltfilt(passes, error, axis=0, padtype="even", padlen=padding))
             mean.append(np.broadcast_to(error.mean(axis=0), error.shape))
-        torques, errors, all_errors = np.concatenate(torque), np.concatenate(told), np.concatenate(left)
-        slow, constant, still, moved = (np.concatenate(x) for x in (smooth, mean, rest, since))
-        return ErrorsInTime(tuple(joints), torques, errors, all_errors, slow, constant, still, moved, hz)
+        torque, everywhere, error, slow, constant = (
+            np.concatenate(x) for x in (errors.torque, errors.left, told, smooth, mean)
+        )
+        still, since = (np.concatenate(x) for x in (errors.still, errors.since))
+        return ErrorsInTime(tuple(errors.joints), torque, error, everywhere, slow, constant, still, since, hz)
 
     def slow(self) -> tuple[Slow, ...]:
         """Joints whose error in motion is slow and large, one entry a joint."""

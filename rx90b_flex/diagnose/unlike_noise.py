@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft
 
-from rx90b_flex.diagnose.moving import begun, resting_each
+from rx90b_flex.diagnose.moving import TorqueErrors
 from rx90b_flex.effects.motion import Array
 
 # cosines over a recording: of its course, and those of which noise without one has as much
@@ -73,36 +73,18 @@ class Bursts:
         )
 
 
-def unlike_noise(
-    joints: Sequence[str],
-    rates_hz: Sequence[float],
-    torque: Sequence[Array],
-    left: Sequence[Array],
-    velocity: Sequence[Array],
-) -> Iterator[Course | Bursts]:
-    """What of held-out errors is no noise, from when joints first moved on.
-
-    Parameters
-    ----------
-    joints : sequence of str
-        Of the columns.
-    rates_hz : sequence of float
-        Sample rates.
-    torque, left, velocity : sequences of arrays, each (N, joints)
-        Torque and its error, N m (N), and velocity, rad/s (m/s).
-    """
-    rest = resting_each(velocity)
-    size = np.concatenate(torque).std(axis=0)
-    for j, joint in enumerate(joints):
+def unlike_noise(errors: TorqueErrors) -> Iterator[Course | Bursts]:
+    """What of held-out errors is no noise, from when joints first moved on."""
+    size = np.concatenate(errors.torque).std(axis=0)
+    for j, joint in enumerate(errors.joints):
         told, moving = [], []
-        for still, rate, error in zip(rest, rates_hz, left, strict=True):
-            since = begun(still, rate)[:, j]
-            if len(error) >= SHORTEST_S * rate:
-                told.append(error[since, j])
-                moving.append((error[since & ~still[:, j], j], rate))
+        for still, since, rate, left in zip(errors.still, errors.since, errors.rates_hz, errors.left, strict=True):
+            if len(left) >= SHORTEST_S * rate:
+                told.append(left[since[:, j], j])
+                moving.append((left[since[:, j] & ~still[:, j], j], rate))
         if not told:
             continue
-        at_rest = 1.0 - float(np.concatenate([~still[:, j] for still in rest]).mean())
+        at_rest = 1.0 - float(np.concatenate([~still[:, j] for still in errors.still]).mean())
         share = _course(told) if at_rest < RESTS else 0.0
         if share > COURSE:
             yield Course(joint, share)
