@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -17,6 +17,8 @@ from rx90b_flex.effects.log_effect import LogEffect
 from rx90b_flex.effects.motion import Array, Force, JointMotion, Motion, with_forces
 from rx90b_flex.effects.parameters import derived, linear, shape
 from rx90b_flex.effects.ripple import SineEffect, highest_peaks
+
+LONG_S = 0.01  # filters of currents and cycles of buses take 1 to 8 ms together
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,6 +123,19 @@ class TorqueDelay(LogEffect, on="robot or joint", needs_model=True):
     @classmethod
     def everywhere(cls, sites: Sites) -> Sequence[Effect]:
         return [cls(), *(cls(joint=j) for j in sites.joints)]
+
+
+def long_delays(effects: Sequence[Effect]) -> Iterator[str]:
+    """A caution for each delay that no drive has: the log's times may be at fault, which no recording of that log tells."""
+    for e in effects:
+        if isinstance(e, TorqueDelay) and e.known and abs(e.known_coefficients()[0]) > LONG_S:
+            seconds = float(e.known_coefficients()[0])
+            when = "after" if seconds > 0 else "before"
+            yield (
+                f"{e.label}: torques are logged {1000 * abs(seconds):.3g} ms {when} the positions they belong to, longer than "
+                "filters and buses take. Two clocks, a filter of one column alone or rows that were shifted leave the same: "
+                "compare both with one event, before this delay is taken for the robot's."
+            )
 
 
 def _sample(motion: Motion) -> float:
