@@ -27,7 +27,16 @@ from rx90b_flex.diagnose.other_friction import with_changes
 from rx90b_flex.diagnose.refinement import LookAtShape, Refinement
 from rx90b_flex.diagnose.rough import Rough
 from rx90b_flex.diagnose.side_by_side import SideBySide
-from rx90b_flex.diagnose.trial import AS_GOOD, SMALLEST_GAIN, TorqueTrial, meet, off_a_joint, shows_by_itself, too_faint
+from rx90b_flex.diagnose.trial import (
+    AS_GOOD,
+    SIGNIFICANCE,
+    SMALLEST_GAIN,
+    TorqueTrial,
+    meet,
+    off_a_joint,
+    shows_by_itself,
+    too_faint,
+)
 from rx90b_flex.effects import Effect, LeftOver, Sites, catalogue
 from rx90b_flex.effects.effect import of_motion_alone, shared_shapes
 from rx90b_flex.effects.motion import Array, Indices, Motion
@@ -250,6 +259,12 @@ class Search:
             # a first look at a gain sees a torque that is bent for want of it: its rank among others says little
             bent = [r for r in rough[REFINED:] if r.effect.traits.multiplies and r.gain > FAMILY_GAIN]
             ranked = [*filter(self._may_matter, rough[:REFINED]), *bent]
+            # gain in white noise that chance reaches too: for company all pairs might have been tried; else the first are told anyway
+            chance = (
+                stats.chi2.isf(SIGNIFICANCE / max(1, self.tests) ** (1 if company_of is None else 2), 1) / UNREFINED
+            )
+            first = ranked[: FEWEST_REFINED if company_of is None else 0]
+            ranked = [r for r in ranked if r in first or r.effect.traits.multiplies or r.gain > chance]
             found = beside.each(Search._tried, ranked)
             for item in ranked:
                 if len(tried) >= FEWEST_REFINED and UNREFINED * item.gain < _sure(tried.values()):

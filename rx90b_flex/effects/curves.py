@@ -6,6 +6,7 @@ import dataclasses
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -127,16 +128,7 @@ class _Curve(ManyCoefficients, last_resort=True, of_make=False):
 
     @property
     def penalty(self) -> Penalty | None:
-        return Penalty(self._roughness(), self.strength) if self.count else None
-
-    def _roughness(self) -> Array:
-        bent = CubicSpline(self.knots, np.eye(self.count), bc_type="natural")(self.knots, 2)
-        # a second derivative goes straight from knot to knot: the integral of its square by Simpson's rule
-        begin, end = bent[:-1], bent[1:]
-        weight = np.diff(self.knots) ** 4 / 6.0
-        ends = begin.T @ (weight[:, None] * begin) + end.T @ (weight[:, None] * end)
-        middle = begin + end
-        return np.asarray(ends + middle.T @ (weight[:, None] * middle))
+        return Penalty(_roughness(self.knots), self.strength) if self.count else None
 
     def penalised(self, strength: float | None) -> Self:
         change: dict[str, Any] = {"strength": strength}
@@ -180,7 +172,7 @@ class _Curve(ManyCoefficients, last_resort=True, of_make=False):
         if not self.count:
             return np.zeros((len(x), 0))
         inside = np.clip(x, self.knots[0], self.knots[-1])
-        values = CubicSpline(self.knots, np.eye(self.count), bc_type="natural")(inside, order)
+        values = _of_each_knot(self.knots)(inside, order)
         return np.asarray(values if order == 0 else values * (inside == x)[:, None])
 
     def basis(self, at: JointMotion) -> Array:
@@ -190,6 +182,26 @@ class _Curve(ManyCoefficients, last_resort=True, of_make=False):
         slope = self._spline(self.abscissa(at), 1)
         zero = np.zeros_like(slope)
         return (zero, slope, zero) if self.axis == "velocity" else (slope, zero, zero)
+
+
+@lru_cache(maxsize=64)
+def _of_each_knot(knots: tuple[float, ...]) -> CubicSpline:
+    """Natural splines that are one at a knot and zero at all others."""
+    return CubicSpline(knots, np.eye(len(knots)), bc_type="natural")
+
+
+@lru_cache(maxsize=64)
+def _roughness(knots: tuple[float, ...]) -> Array:
+    """Integral of the squared second derivative, as a form in the values at the knots, (k, k)."""
+    bent = _of_each_knot(knots)(knots, 2)
+    # a second derivative goes straight from knot to knot: the integral of its square by Simpson's rule
+    begin, end = bent[:-1], bent[1:]
+    weight = np.diff(knots) ** 4 / 6.0
+    ends = begin.T @ (weight[:, None] * begin) + end.T @ (weight[:, None] * end)
+    middle = begin + end
+    out = ends + middle.T @ (weight[:, None] * middle)
+    out.setflags(write=False)
+    return np.asarray(out)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,7 +267,7 @@ class AngleCurve(_Curve, part="spring", straight=("level",)):
 
     def potential(self, motion: Motion) -> Array:
         q = motion.joint(self.joint).q
-        spline = CubicSpline(self.knots, np.eye(self.count), bc_type="natural")
+        spline = _of_each_knot(self.knots)
         stored, ends = spline.antiderivative(), np.array([self.knots[0], self.knots[-1]])
         inside = np.clip(q, *ends)
         beyond = (q - inside)[:, None] * spline(inside)
