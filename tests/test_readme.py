@@ -85,6 +85,7 @@ def test_the_rows_run_as_printed(folder: Path, command: Command) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_rows_that_take_minutes_run_as_printed(folder: Path, command: Command) -> None:
     slow = [words for words in rows() if is_slow(words)]
     # a row on what another one writes stands above it where both are about the same task

@@ -152,6 +152,7 @@ def test_the_saved_model_predicts_the_validation_part_as_well_as_reported(result
     assert np.linalg.norm(error[inside]) == pytest.approx(reported, rel=0.02)
 
 
+@pytest.mark.long
 def test_the_command_takes_less_than_two_gigabytes_where_it_compiles_as_well(tmp_path: Path) -> None:
     campaign = tx40_folder() / "campaign.toml"
     script = Path(sys.executable).with_name("rx90b-flex")
