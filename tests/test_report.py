@@ -274,6 +274,14 @@ def test_an_unknown_noise_floor_is_called_so_and_asks_for_repeats(nothing: Close
     assert any("period_s" in a.what for a in next_measurements(nothing))
 
 
+def test_motions_that_repeat_without_a_stated_period_are_told(nothing: ClosedLoop) -> None:
+    facts = [dataclasses.replace(r, period_s=2.5) for r in nothing.checked.recordings]
+    repeating = dataclasses.replace(nothing, checked=dataclasses.replace(nothing.checked, recordings=tuple(facts)))
+    text = Page(report_html(repeating)).text
+    assert "the campaign states neither noise nor a period, though motions repeat after 2.5 s" in text
+    assert "no recording repeats" not in text and "Give period_s in the campaign file" in text
+
+
 def test_nothing_missing_is_said_without_a_table_of_effects(nothing: ClosedLoop, empty_page: Page) -> None:
     assert (nothing.verdict, nothing.effects) == ("nothing_missing", ())
     assert tuple(a["id"] for tag, a in empty_page.tags if tag == "section") == SECTIONS

@@ -101,12 +101,30 @@ def joined(names: Sequence[str]) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else list(names))
 
 
+def why_noise_is_unknown(result: ClosedLoop) -> str:
+    """Why nobody knows how much of the error is noise, in words."""
+    periods = found_periods_s(result)
+    if not periods:
+        return "no recording repeats and no noise is stated"
+    return f"the campaign states neither noise nor a period, though motions repeat after {joined([f'{p:g} s' for p in periods])}"
+
+
+def found_periods_s(result: ClosedLoop) -> list[float]:
+    """Periods after which motions of the identification recordings repeat, s, shortest first."""
+    facts = (r for r in result.checked.recordings if r.role == "identification" and r.period_s is not None)
+    return sorted({float(f"{r.period_s:.4g}") for r in facts})
+
+
 def _noise(result: ClosedLoop) -> Iterator[Advice]:
     if result.noise_floor is None:
+        way = (
+            "Give period_s"
+            if found_periods_s(result)
+            else "Record at least two whole periods of a repeating motion and give period_s"
+        )
         yield Advice(
-            "How much of the error is noise is not known: no recording repeats and no noise is stated.",
-            "Record at least two whole periods of a repeating motion and give period_s in the campaign file: what "
-            "differs between periods is noise, what repeats is the model's.",
+            f"How much of the error is noise is not known: {why_noise_is_unknown(result)}.",
+            f"{way} in the campaign file: what differs between periods is noise, what repeats is the model's.",
         )
 
 

@@ -31,6 +31,7 @@ from rx90b_flex.view.advice import (
     next_measurements,
     place_words,
     standstill,
+    why_noise_is_unknown,
 )
 from rx90b_flex.view.check_report import check_section, write_check_page
 from rx90b_flex.view.deflection_section import gear_section
@@ -476,7 +477,7 @@ def _facts(result: ClosedLoop) -> list[tuple[str, str]]:
     blocks = regression.blocks()
     seconds = sum(len(s) / s.rate_hz for s in regression.segments)
     if result.noise_floor is None:
-        floor = "not known: no recording repeats and no noise is stated"
+        floor = f"not known: {why_noise_is_unknown(result)}"
     elif any(r.period_s is not None for r in campaign.identification):
         floor = "from what differs between the periods of the identification recordings"
     else:
