@@ -29,9 +29,9 @@ from rx90b_flex.diagnose.rough import Rough
 from rx90b_flex.diagnose.side_by_side import SideBySide
 from rx90b_flex.diagnose.trial import (
     AS_GOOD,
-    SIGNIFICANCE,
     SMALLEST_GAIN,
     TorqueTrial,
+    gain_of_chance,
     meet,
     off_a_joint,
     shows_by_itself,
@@ -259,10 +259,8 @@ class Search:
             # a first look at a gain sees a torque that is bent for want of it: its rank among others says little
             bent = [r for r in rough[REFINED:] if r.effect.traits.multiplies and r.gain > FAMILY_GAIN]
             ranked = [*filter(self._may_matter, rough[:REFINED]), *bent]
-            # gain in white noise that chance reaches too: for company all pairs might have been tried; else the first are told anyway
-            chance = (
-                stats.chi2.isf(SIGNIFICANCE / max(1, self.tests) ** (1 if company_of is None else 2), 1) / UNREFINED
-            )
+            # for company all pairs might have been tried; else the first are told anyway
+            chance = gain_of_chance(self.tests ** (1 if company_of is None else 2)) / UNREFINED
             first = ranked[: FEWEST_REFINED if company_of is None else 0]
             ranked = [r for r in ranked if r in first or r.effect.traits.multiplies or r.gain > chance]
             found = beside.each(Search._tried, ranked)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy import stats
 
 from rx90b_flex.effects import Effect
 from rx90b_flex.effects.motion import Array
@@ -194,6 +195,11 @@ class TorqueTrial(Trial):
         difference = self.block_gains - other.block_gains
         spread = difference.std(ddof=1) * np.sqrt(len(difference))
         return bool(other.gain >= AS_GOOD * self.gain and difference.sum() <= GAIN_T * spread)
+
+
+def gain_of_chance(tests: int) -> float:
+    """Gain in white noise, in units of residual variance, that chance reaches too where so many trials are made."""
+    return float(stats.chi2.isf(SIGNIFICANCE / max(1, tests), 1))
 
 
 def shows_by_itself(colour: float) -> float:
