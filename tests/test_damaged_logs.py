@@ -33,7 +33,7 @@ def damaged(content: bytes, rng: np.random.Generator) -> bytes:
     return bytes(out)
 
 
-@pytest.mark.parametrize("count", [8, pytest.param(80, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [8, pytest.param(24, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("write", WRITERS)
 def test_a_damaged_log_is_read_or_refused_by_name(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], write: Callable[[Path], Path], count: int

@@ -79,6 +79,7 @@ def test_two_poses_tell_a_known_loop_s_arm_and_that_nothing_is_missing(tmp_path:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_under_a_filtered_loop_the_arm_is_found_and_filters_that_nobody_stated_are_told(tmp_path: Path) -> None:
     """The arm's own loop filters its speeds at 100 Hz and its torques about 25 Hz; its references alone excite it."""
     arm = Arm.drawn(6, speed_hz=100.0, notch_hz=25.0)
