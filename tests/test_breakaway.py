@@ -69,12 +69,14 @@ def test_friction_of_contacts_that_have_aged_is_found_on_both_joints_and_nothing
         assert e.effect.known_coefficients()[0] == pytest.approx(grows * np.log1p(STOOD_S / YOUNG_S), rel=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_joints_that_break_away_at_what_slides_get_no_name_for_it(tmp_path, seed):
     result = closed(tmp_path, seed, THREE, stood_s=0.0, hidden=(STRIBECK,))
     assert {e.effect.label for e in result.effects} == {"elbow.stribeck_friction"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_single_start_gets_no_name_and_is_told(tmp_path, seed):
     result = closed(tmp_path, seed, TWO)

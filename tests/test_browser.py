@@ -191,6 +191,7 @@ def check_moving(page: Opened, name: str) -> None:
     assert np.count_nonzero(np.abs(first - middle).max(axis=2) > 40) > 5000
 
 
+@pytest.mark.slow
 def test_the_page_of_a_run_shows_robot_and_trail_moves_and_asks_for_nothing(
     browser: Any, run: Simulation, tmp_path: Path, pictures: Path
 ) -> None:

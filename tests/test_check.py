@@ -7,14 +7,14 @@ import json
 import re
 import sys
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import independent as ind
 import numpy as np
 import pytest
 from data_folder import data_folder
+from marked import by_cost
 
 import rx90b_flex as rf
 from rx90b_flex import cli
@@ -95,14 +95,14 @@ ALIKE = (
     "a torque in N mm",
     "a torque thirty times too large",
     "an encoder that slips",
+    "a torque reversed",
+    "every torque reversed",
+    "an encoder that stands in one log",
+    "a torque cut off",
 )  # what others of their table are much like: looked at with the slow tests
 
 
-def some_slow(names: Iterable[str]) -> list[Any]:
-    return [pytest.param(n, marks=[pytest.mark.slow] * (n in ALIKE)) for n in names]
-
-
-@pytest.mark.parametrize("name", some_slow(EFFECTS))
+@pytest.mark.parametrize("name", by_cost(EFFECTS, slow=ALIKE))
 def test_a_physical_effect_is_not_called_a_fault_of_the_data(tmp_path: Path, name: str) -> None:
     assert checked(tmp_path, sound(EFFECTS[name])).data_faults == ()
 
@@ -216,7 +216,7 @@ FAULTS: dict[str, tuple[Callable[[Runs], Runs], str, tuple[int, ...], float | No
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", some_slow(FAULTS))
+@pytest.mark.parametrize("name", by_cost(FAULTS, slow=ALIKE))
 def test_a_fault_is_named_on_its_joints(tmp_path: Path, name: str) -> None:
     change, kind, joints, factor = FAULTS[name]
     result = checked(tmp_path, change(sound()))
@@ -228,6 +228,7 @@ def test_a_fault_is_named_on_its_joints(tmp_path: Path, name: str) -> None:
         assert fault.factor == pytest.approx(factor, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))])
 def test_of_torques_that_have_nothing_to_do_with_the_motion_nothing_else_is_said(tmp_path: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -340,6 +341,7 @@ def test_a_joint_that_is_held_in_one_log_is_no_sensor_that_stands(tmp_path: Path
     assert not [f for f in checked(tmp_path, [*runs, still]).data_faults if f.kind == "stuck"]
 
 
+@pytest.mark.slow
 def test_rows_that_are_missing_are_no_encoders_that_slip(tmp_path: Path) -> None:
     """Of a log without a time column, five times a tenth of a second."""
     kept = np.ones(len(sound()[0].motion.time), dtype=bool)
@@ -354,6 +356,7 @@ def test_rows_that_are_missing_are_no_encoders_that_slip(tmp_path: Path) -> None
     assert all("rows are missing" in f.message and len(f.joints) > 1 for f in slips)
 
 
+@pytest.mark.slow
 def test_samples_that_are_held_where_others_were_lost_are_said_and_no_link_is_too_long(tmp_path: Path) -> None:
     """Four drop-outs of a bus in each log, of 50 to 110 ms, in which every column stands."""
     path = ind.write_files(tmp_path, ARM, DECLARED, sound(), cutoff_hz=CUTOFF_HZ)
@@ -390,6 +393,7 @@ def test_an_angle_that_wraps_round_is_to_be_unwrapped_and_no_more_is_said_of_it(
     assert all("wraps round by whole turns" in f.message for f in found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_friction_that_winds_up_is_no_torque_that_comes_late(tmp_path: Path, seed: int) -> None:
     """Dahl's law over 4 mrad in the first joint, which carries no weight: there it is most of the torque."""
@@ -409,6 +413,7 @@ def test_friction_that_winds_up_is_no_torque_that_comes_late(tmp_path: Path, see
     assert checked(tmp_path, runs).data_faults == ()
 
 
+@pytest.mark.slow
 def test_angles_in_degrees_are_named_though_they_could_be_radians(tmp_path: Path) -> None:
     runs = with_angles(sound(speed=0.6), np.degrees)
     assert max(float(np.abs(r.motion.q).max()) for r in runs) < 100.0  # what the reader refuses begins there
@@ -417,6 +422,7 @@ def test_angles_in_degrees_are_named_though_they_could_be_radians(tmp_path: Path
     assert fault.factor == pytest.approx(180.0 / np.pi)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kept", [pytest.param(0.5, marks=pytest.mark.slow), 1.0]
 )  # of the motion: with all of it the low-pass comes near half the stated rate
@@ -469,6 +475,7 @@ def test_a_wrong_gear_ratio_is_told_with_its_joint_and_factor(tmp_path: Path, jo
     assert max(result.relative_error) < 0.2  # with it mended
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.1, pytest.param(0.9, marks=pytest.mark.slow)])
 def test_an_angle_in_another_scale_is_told_where_the_torque_is_right(tmp_path: Path, factor: float) -> None:
     (fault,) = checked(tmp_path, with_ratio(sound(), ELBOW, factor, 1.0)).data_faults
@@ -645,6 +652,7 @@ def test_torques_at_other_times_are_those_of_their_columns_rows_and_logs():
     assert not sample.torque_of(reading.later(np.tile([True, False, False], (2, 1)), 9.0))[1].any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_limits_of_the_urdf_that_are_narrower_than_the_robot_s_are_told_from_degrees(tmp_path: Path, seed: int) -> None:
     arm, rng, runs = ind.panda(), np.random.default_rng(seed), []

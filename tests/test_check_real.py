@@ -12,6 +12,7 @@ import independent as ind
 import numpy as np
 import pytest
 from data_folder import data_folder
+from marked import by_cost
 
 import rx90b_flex as rf
 from rx90b_flex.signals import Campaign, Recording, load_campaign
@@ -94,10 +95,11 @@ FAULTS: dict[str, tuple[str, Change, str, set[str]]] = {
     "a stated rate beside coupled joints": ("tx40", stated_rate(2.0), "sample_rate", set()),
     "a torque reversed where gains are wrong": ("dualarm_v2", torque_times(5, -1.0), "reversed_sign", {"joint_6"}),
 }  # fmt: skip
-QUICK = ("torques exchanged",)
+BY_HAND = {"a torque reversed in one", "a stated rate beside coupled joints", "a torque reversed where gains are wrong"}
+SLOW = FAULTS.keys() - BY_HAND - {"torques exchanged"}
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n not in QUICK)) for n in FAULTS])
+@pytest.mark.parametrize("name", by_cost(FAULTS, slow=SLOW, long=BY_HAND))
 def test_a_fault_of_real_recordings_is_named_on_its_joints(name: str) -> None:
     robot, change, kind, joints = FAULTS[name]
     found = rf.check(change(of(robot))).data_faults
@@ -118,6 +120,7 @@ def test_an_axis_of_the_urdf_beside_coupled_joints_is_named(tmp_path: Path) -> N
     assert [(f.kind, f.joints) for f in found] == [("kinematics", ("joint_4",))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("signals", "i", "j"),
     [

@@ -9,6 +9,7 @@ import independent as ind
 import log_effects
 import numpy as np
 import pytest
+from marked import by_cost
 
 import rx90b_flex as rf
 
@@ -51,7 +52,7 @@ def campaign(folder: Path, kind: str, seed: int) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", HIDDEN)
+@pytest.mark.parametrize("kind", by_cost(HIDDEN, long={"transmission_error", "line_interference"}))
 def test_an_effect_between_robot_and_log_is_found_where_it_is_with_its_values(kind, tmp_path):
     joint, values = HIDDEN[kind]
     result = rf.close_loop(campaign(tmp_path, kind, seed=0))

@@ -53,6 +53,7 @@ def package(parent: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_caller_is_compiled_again_when_the_file_of_what_it_calls_changes(tmp_path: Path) -> None:
     folder = package(tmp_path / "here")
     assert doubled(folder) == (4.0, 0)

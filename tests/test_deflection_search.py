@@ -21,7 +21,7 @@ FRICTION = ("coulomb_friction", "viscous_friction")
 SLIDES_AT = 1e-3  # rad/s, of tanh(v / .)
 STEP_RAD = 1e-5  # of the encoders
 LAG = 3e-3  # s
-SEEDS = (1, 2)
+SEEDS = (1, pytest.param(2, marks=pytest.mark.long))
 DEVIATIONS = 4.0
 Extra = Callable[[np.ndarray], np.ndarray]  # torque (N, 2) of the angles (N, 2)
 
@@ -85,7 +85,7 @@ def test_without_dry_friction_the_stiffness_is_found_within_its_interval(tmp_pat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in (2, 3))])
 def test_a_drive_that_gets_stiffer_as_it_twists_is_named(tmp_path, seed):
     cubic = 1e5
     result = closed(tmp_path, {SHOULDER: 400.0}, seed, cubic=cubic)

@@ -20,7 +20,7 @@ def stop(motion: Motion, load: Array) -> Array:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in (2, 3))])
 def test_an_elastic_stop_is_a_curve(tmp_path, seed):
     arm, rng, runs = two_joints(tmp_path), np.random.default_rng(seed), []
     for role in ("identification", "identification", "validation"):

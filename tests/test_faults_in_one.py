@@ -75,6 +75,7 @@ def test_a_fault_of_one_log_is_named_with_that_log_and_nothing_else(tmp_path: Pa
         assert fault.factor == pytest.approx(factor, rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_log_stated_at_half_its_rate_is_named(tmp_path: Path) -> None:
     """Without time columns: each recording's motion is its own, but of one it is run through at twice the speed."""
     runs = sound()
@@ -89,6 +90,7 @@ def test_a_log_stated_at_half_its_rate_is_named(tmp_path: Path) -> None:
     assert "log_2" in fault.message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", [ELBOW, pytest.param(LIFT, marks=pytest.mark.slow)])
 def test_friction_that_is_less_in_one_log_is_no_fault_of_its_columns(tmp_path: Path, joint: int) -> None:
     """As after an hour's work: 40 % less of one joint's, or of every joint's."""
@@ -100,6 +102,7 @@ def test_friction_that_is_less_in_one_log_is_no_fault_of_its_columns(tmp_path: P
         assert checked(tmp_path, [*runs[:2], warm]).data_faults == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", [1, pytest.param(0, marks=pytest.mark.slow)])
 def test_a_sign_of_one_log_is_told_though_it_bends_the_fit_to_all_of_them(tmp_path: Path, which: int) -> None:
     (fault,) = checked(tmp_path, in_one(sound(), which, lambda r: with_torques(r, scaled(LIFT, -1.0)))).data_faults
@@ -140,6 +143,7 @@ def test_a_torque_that_is_late_in_one_log_is_named_with_it(tmp_path: Path) -> No
     assert "log_1" in fault.message
 
 
+@pytest.mark.slow
 def test_torques_of_one_log_a_little_late_are_named_with_it(tmp_path: Path) -> None:
     late = in_one(sound(), 1, lambda r: with_torques(r, lambda torque: np.roll(torque, 3, axis=0)))
     (fault,) = checked(tmp_path, late).data_faults
@@ -148,6 +152,7 @@ def test_torques_of_one_log_a_little_late_are_named_with_it(tmp_path: Path) -> N
     assert "log_2" in fault.message
 
 
+@pytest.mark.slow
 def test_every_torque_of_one_log_in_another_unit_is_one_fault(tmp_path: Path) -> None:
     (fault,) = checked(tmp_path, in_one(sound(), 1, lambda r: with_torques(r, lambda t: 1000.0 * t))).data_faults
     assert (fault.kind, set(fault.joints), fault.factor) == (
@@ -167,6 +172,7 @@ def test_what_the_loop_leaves_of_one_recording_alone_is_said() -> None:
     assert unlike_words(["a.csv", "c.csv"], torque[::2], left[::2]) == ()
 
 
+@pytest.mark.slow
 def test_a_period_that_the_motion_does_not_keep_is_told_and_is_no_noise(tmp_path: Path) -> None:
     path = ind.write_files(tmp_path, ARM, DECLARED, repeated(), cutoff_hz=CUTOFF_HZ)
     good = rf.check(path)

@@ -97,6 +97,7 @@ def test_what_is_hidden_is_found_behind_a_wait_and_nothing_else(tmp_path, seed):
     assert (np.array(result.after.told.validation.torque_rms) < 1.2 * noise).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_hysteresis_that_begins_anywhere_is_found_on_both_joints(tmp_path, seed):
     result = closed(tmp_path, seed, dahl)

@@ -418,6 +418,7 @@ def test_a_worker_that_is_killed_loses_nothing(
     assert len(victims) == 2 and tree(tmp_path / "out") == tree(done[1])
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_scheduler_of_somebody_elses_does_the_same(
     campaigns: list[Path], done: tuple[rf.Fleet, Path], tmp_path: Path

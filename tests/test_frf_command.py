@@ -174,6 +174,7 @@ def declare(campaign: Path, effects: list[Effect]) -> Path:
     return campaign
 
 
+@pytest.mark.long
 @pytest.mark.slow  # without the command: test_all_coordinates.py, test_replay.py
 def test_the_command_gives_both_as_measured_and_with_friction_s_distortion_removed(
     with_dry_friction, tmp_path, monkeypatch

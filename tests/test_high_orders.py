@@ -13,6 +13,7 @@ import rx90b_flex as rf
 NOISE = (0.05, 0.05)  # N m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [404.0, pytest.param(628.3, marks=pytest.mark.slow)])
 def test_a_ripple_of_high_order_is_found(tmp_path: Path, order: float) -> None:
     def cogging(motion: Motion, load: Array) -> Array:

@@ -37,7 +37,7 @@ def held(colour: str, arm: str, rate_hz: float) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arm", ["ur10", "panda"])
+@pytest.mark.parametrize("arm", ["ur10", pytest.param("panda", marks=pytest.mark.long)])
 @pytest.mark.parametrize("colour", ["white", "ar"])
 def test_intervals_of_95_per_cent_hold_in_93_to_97(colour, arm):
     """Two recordings of 10 s; noise with a memory of 20 samples leaves some fifty independent ones of a thousand."""

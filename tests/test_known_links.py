@@ -83,6 +83,7 @@ def test_wrong_links_are_no_fault_of_the_data_and_said_to_be_behind_what_was_nam
     assert result.verdict == "partly_explained"
 
 
+@pytest.mark.slow
 def test_a_payload_on_right_links_keeps_its_name_beside_the_other_explanation(tmp_path: Path) -> None:
     result = rf.close_loop(campaign(tmp_path, "loaded", 1))
     assert [e.effect.type_name() for e in result.effects] == ["payload"] and result.verdict == "explained"
@@ -136,7 +137,7 @@ def test_a_search_for_a_payload_begins_about_where_it_is(tmp_path: Path, centre:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("centre", [(0.0, 0.0, 0.0), (0.05, 0.0, 0.0)])
+@pytest.mark.parametrize("centre", [pytest.param((0.0, 0.0, 0.0), marks=pytest.mark.long), (0.05, 0.0, 0.0)])
 @pytest.mark.parametrize("stated", [0.0, 2.0])
 def test_a_payload_and_what_a_stated_one_lacks_is_a_payload_and_no_gain_of_all_motors(
     tmp_path: Path, centre: tuple[float, float, float], stated: float
@@ -198,7 +199,7 @@ def test_a_stated_payload_that_is_not_there_is_said(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("joint", [3, 4, 5])
+@pytest.mark.parametrize("joint", [4, *(pytest.param(j, marks=pytest.mark.long) for j in (3, 5))])
 @pytest.mark.parametrize("lacks", ["gain", "spring"])
 def test_what_one_joint_lacks_is_no_other_payload(tmp_path: Path, joint: int, lacks: str) -> None:
     """A stated payload tells a motor's gain: it is not what is wrong where one joint's torque alone is off."""

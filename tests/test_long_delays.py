@@ -26,7 +26,9 @@ def closed(folder: Path, samples: int) -> rf.ClosedLoop:
     return rf.close_loop(write_files(folder, arm, declared, runs, cutoff_hz=20.0))
 
 
-@pytest.mark.parametrize(("samples", "doubted"), [(7, True), (-6, True), (1, False)])
+@pytest.mark.parametrize(
+    ("samples", "doubted"), [pytest.param(7, True, marks=pytest.mark.slow), (-6, True), (1, False)]
+)
 def test_a_delay_that_no_drive_has_is_doubted(tmp_path: Path, samples: int, doubted: bool) -> None:
     result = closed(tmp_path, samples)
     (found,) = result.effects

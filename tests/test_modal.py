@@ -152,6 +152,7 @@ def test_values_come_with_their_uncertainty():
     assert found.stds[0] < 0.02 * found.values[0]  # modes to 0.3 %: a stiffness to about twice that over a few of them
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_hidden_causes_are_named_whatever_the_noise():
     assert share_named_wrongly(closed, range(100, 105)) <= 0.1

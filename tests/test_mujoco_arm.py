@@ -44,6 +44,7 @@ def assert_found(arm: Arm, found: dict[str, Any]) -> None:
     assert (less[diagonal] < 0.2 * as_measured[diagonal]).all()
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_by_motion_alone_the_drives_of_an_unknown_arm_are_found(tmp_path: Path) -> None:
     """Neither a torque input nor the controller is known, and only angles and torques of the motors are logged."""
@@ -95,6 +96,7 @@ def test_under_a_filtered_loop_the_arm_is_found_and_filters_that_nobody_stated_a
     assert found["replay"] is None or any("off those logged" in remark for remark in found["remarks"])
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_softer_drive_is_found_and_nothing_else(tmp_path: Path) -> None:
     as_declared = Arm.drawn(3)
@@ -260,6 +262,7 @@ OVER_TIME: dict[str, tuple[Callable[[Arm], Arm], tuple[str, ...], tuple[str, ...
 }
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("cause", "seed", "cutoff_hz"),

@@ -52,7 +52,7 @@ def campaign(
     return path
 
 
-SLOW = [pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3)]
+SLOW = [pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.long)]
 
 
 @pytest.mark.parametrize("seed", [1, *SLOW])
@@ -60,8 +60,8 @@ SLOW = [pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3)]
     ("change", "kind", "signal"),
     [
         ({"torque": -1.0}, "reversed_sign", "torque"),
-        ({"position": -1.0}, "reversed_sign", "motor_position"),
-        ({"torque": 0.5}, "torque_gain", "torque"),
+        pytest.param({"position": -1.0}, "reversed_sign", "motor_position", marks=pytest.mark.slow),
+        pytest.param({"torque": 0.5}, "torque_gain", "torque", marks=pytest.mark.slow),
     ],
 )
 def test_a_wrong_column_of_one_recording_is_named_with_its_file(tmp_path, seed, change, kind, signal):
@@ -75,6 +75,7 @@ def test_a_wrong_column_of_one_recording_is_named_with_its_file(tmp_path, seed, 
     assert kind != "torque_gain" or fault.factor == pytest.approx(0.5, rel=0.02)
 
 
+@pytest.mark.slow
 def test_where_torque_and_position_may_be_reversed_as_well_both_are_said(tmp_path):
     (fault,) = rf.check(campaign(tmp_path, 1, where=1, joint=FLANGE, torque=-1.0)).data_faults
     assert (fault.kind, fault.joints) == ("reversed_sign", (ARM.joints[FLANGE],))
@@ -141,6 +142,7 @@ HIDDEN = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [25, *(pytest.param(s, marks=pytest.mark.slow) for s in (13, 35, 301, 302, 303, 304))])
 def test_effects_beside_a_friction_that_warms_are_no_fault_of_the_data(tmp_path: Path, seed: int) -> None:
     """A zero 73 degrees off, an angle in degrees and a torque of another unit took up what the recordings differ by."""

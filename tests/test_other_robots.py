@@ -9,12 +9,12 @@ from __future__ import annotations
 import dataclasses
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from independent import TWO_JOINTS
+from marked import by_cost
 
 import rx90b_flex as rf
 from rx90b_flex.diagnose.residual import ReplayedTorques
@@ -57,11 +57,6 @@ joint = "elbow"
 stiffness = [8.0e3, 9.0e3]
 damping = [8.0, 9.0]
 """
-
-
-def slow_but(*cheap: str) -> list[Any]:
-    """All arms, of which only these are in the default tests."""
-    return [pytest.param(name, marks=() if name in cheap else pytest.mark.slow) for name in ARMS]
 
 
 @pytest.fixture(scope="module")
@@ -272,7 +267,7 @@ def true_error(name: str, folder: Path, with_hidden: bool) -> float:
     return float(np.linalg.norm(error) / np.linalg.norm(replay.torque))
 
 
-@pytest.mark.parametrize("name", slow_but("kinova", "own_file"))
+@pytest.mark.parametrize("name", by_cost(ARMS, slow={*ARMS} - {"kinova", "own_file"}))
 def test_identified_arm_is_as_good_as_the_true_arm_on_other_motion(name: str, folder: Path) -> None:
     result = identify_campaign(campaign(name, folder, False))
     assert result.validation is not None
@@ -292,7 +287,7 @@ def test_identified_arm_is_as_good_as_the_true_arm_on_other_motion(name: str, fo
         assert friction == pytest.approx(expected, rel=0.01)
 
 
-@pytest.mark.parametrize("name", slow_but())
+@pytest.mark.parametrize("name", by_cost(ARMS, slow=ARMS, long={"xarm7", "panda"}))
 def test_closing_the_loop_finds_what_was_hidden(name: str, folder: Path) -> None:
     result = rf.close_loop(campaign(name, folder, True))
     (found,) = result.effects

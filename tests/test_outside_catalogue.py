@@ -94,7 +94,7 @@ def closed(folder: Path, outside: Outside, seed: int) -> rf.ClosedLoop:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("outside", [contact, twisted_cable, slipping_encoder])
+@pytest.mark.parametrize("outside", [pytest.param(contact, marks=pytest.mark.long), twisted_cable, slipping_encoder])
 def test_what_is_not_in_the_catalogue_is_not_explained(outside, tmp_path):
     results = [closed(tmp_path / str(seed), outside, seed) for seed in SEEDS]
     for seed, r in zip(SEEDS, results, strict=True):

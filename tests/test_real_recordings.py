@@ -138,7 +138,8 @@ def test_gains_of_wrong_torque_constants_are_those_that_torque_sensors_say(close
 
 @pytest.mark.slow
 @pytest.mark.xdist_group("kr300_encoders")
-@pytest.mark.parametrize("held_out", ("A", pytest.param("B", marks=pytest.mark.long)))
+@pytest.mark.long
+@pytest.mark.parametrize("held_out", ("A", "B"))
 def test_no_held_out_error_grows_with_another_recording_held_out_nor_closing_again(held_out, tmp_path):
     """Closed again on the robot that was written the error is what it was, and next to nothing is found that changes it."""
     campaign, closed = kr300_without(held_out), kr300_closed(held_out)

@@ -179,6 +179,7 @@ def test_a_pose_that_was_not_fitted_is_predicted_to_its_noise():
     assert between.weighted < 1.1
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_hidden_causes_are_named_whatever_the_noise():
     assert share_named_wrongly(closed, range(100, 103)) <= 0.1

@@ -244,6 +244,7 @@ def reference_tip(trajectory: Trajectory, controller: CS8) -> Array:
     return np.array(out)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "segment",
     [pytest.param((0.0, 0.06), id="start", marks=pytest.mark.slow), pytest.param((0.98, 1.04), id="reversal")],

@@ -111,7 +111,7 @@ def test_a_fit_sets_out_from_given_resonances_too() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("damping", [a_millisecond, high_above_55_hz])
+@pytest.mark.parametrize("damping", [a_millisecond, pytest.param(high_above_55_hz, marks=pytest.mark.long)])
 def test_intervals_of_95_per_cent_hold_where_damping_is_high(damping: Callable[[np.ndarray], np.ndarray]) -> None:
     """Of all resonances and antiresonances between the lines that count; four modes lie above, orders are chosen by the fit."""
     held: list[bool] = []

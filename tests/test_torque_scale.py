@@ -231,6 +231,7 @@ def test_a_gain_is_that_of_a_known_payload_s_torque_too(tmp_path: Path, gain: fl
     assert abs(found.value - gain) < 4.0 * found.std
 
 
+@pytest.mark.slow
 def test_currents_of_which_nothing_tells_the_size_are_no_fault(tmp_path: Path) -> None:
     path = logged(tmp_path, payload=False)
     for file in tmp_path.glob("log_*.csv"):  # of motors with 80 N m/A at the joint

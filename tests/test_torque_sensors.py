@@ -60,6 +60,7 @@ def estimates(result: rf.ClosedLoop, label: str) -> dict[str, tuple[float | None
     return {e.name: (e.value, e.std) for e in result.model.estimates(place)}
 
 
+@pytest.mark.slow
 def test_a_report_is_written_where_sensors_were_fitted_too(tmp_path: Path) -> None:
     told = rf.close_loop(campaign(tmp_path))
     assert isinstance(told, rf.ClosedLoop)

@@ -69,7 +69,7 @@ def test_noise_stays_noise(tmp_path: Path, memory: float) -> None:
     assert not any("noise" in c for c in result.cautions), result.cautions
 
 
-@pytest.mark.parametrize("memory", [0.0, 0.9, 0.98])
+@pytest.mark.parametrize("memory", [0.0, 0.98, pytest.param(0.9, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("seconds", [5.0, 10.0, 60.0])
 def test_no_noise_has_a_course_or_bursts(memory: float, seconds: float) -> None:
     """Of two recordings of six joints each, fifty draws."""

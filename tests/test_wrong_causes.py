@@ -15,7 +15,7 @@ import rx90b_flex as rf
 COULOMB, VISCOUS = (8.0, 8.0, 5.0, 1.5, 1.2, 0.8), (12.0, 12.0, 8.0, 2.0, 1.5, 1.0)
 NOISE = (0.8, 1.0, 0.6, 0.12, 0.1, 0.06)
 LIFT, ELBOW = 1, 2
-SLOW = [pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3)]
+SLOW = [pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.long)]
 
 
 def written(
@@ -45,6 +45,7 @@ def written(
     return ind.write_files(folder, arm, declared, runs, cutoff_hz=15.0, gear_matrix=gear_matrix, known=known)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, *SLOW])
 @pytest.mark.parametrize("heavier", [1 / 1.3, pytest.param(1.3, marks=pytest.mark.slow)])
 def test_known_links_of_other_masses_are_no_links_of_another_length(tmp_path: Path, heavier: float, seed: int) -> None:
@@ -184,6 +185,7 @@ def test_the_gain_of_a_current_whose_constant_is_left_out_is_no_fault(tmp_path: 
     assert kinds == ([] if constant == "nan" else ["torque_gain"])
 
 
+@pytest.mark.slow
 def test_torques_of_no_joint_that_have_to_do_with_the_motion_are_of_no_other_load(tmp_path: Path) -> None:
     def change(rng: np.random.Generator, run: ind.Run) -> ind.Run:
         return dataclasses.replace(run, torque=0.3 * np.cumsum(rng.normal(size=run.torque.shape), axis=0))
@@ -201,6 +203,7 @@ def test_a_robot_is_given_by_its_file_and_a_reversed_torque_is_cured_in_the_log(
     assert "in the log" in fault.message and "gear_matrix" not in fault.message
 
 
+@pytest.mark.slow
 def test_a_joint_that_stands_elsewhere_in_each_recording_is_no_torque_of_another_run(tmp_path: Path) -> None:
     """A brake holds it: its torque is noise."""
 
