@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from rx90b_flex.effects import Effect, Sites
+from rx90b_flex.effects.stand_in import as_beside
 from rx90b_flex.robot import Robot
 
 MOST_REPEATED = 2  # of one type in one place, until a curve of no known law had its turn
@@ -56,3 +59,15 @@ def shuts_out(present: Effect, new: Effect) -> bool:
     if type(present) is type(new) or present.type_name() == new.type_name():
         return not new.traits.repeats and (type(present) is type(new) or new.type_name() not in new.traits.replaces)
     return new.type_name() in present.traits.stands_for
+
+
+def leaned_on(effect: Effect, effects: Sequence[Effect]) -> bool:
+    """Whether another effect in its place is one that only stands beside it."""
+    others = [e for e in effects if e.place == effect.place and e is not effect]
+    return any(as_beside(e, others) is None and as_beside(e, [*others, effect]) is not None for e in others)
+
+
+def rounded(effect: Effect) -> tuple[int, ...]:
+    """Logarithms of the shapes in tenths, where an effect may stand twice in one place."""
+    logs = np.round(10.0 * np.log(np.abs(effect.shape) + 1e-9)) if effect.traits.repeats else np.zeros(0)
+    return tuple(logs.astype(int).tolist())

@@ -15,7 +15,7 @@ from rx90b_flex.diagnose.alternatives import Alternative, Comparison, alternativ
 from rx90b_flex.diagnose.carried import grossly_risen, rise
 from rx90b_flex.diagnose.families import sure_together
 from rx90b_flex.diagnose.identified import with_possible_values
-from rx90b_flex.diagnose.kinds import beside_motion, last_resorts, laws, repeated
+from rx90b_flex.diagnose.kinds import beside_motion, last_resorts, laws, leaned_on, repeated, rounded
 from rx90b_flex.diagnose.loop import Addition, Candidates, Residual, Standing
 from rx90b_flex.diagnose.moving import resting_each
 from rx90b_flex.diagnose.other_friction import helps_beside_it
@@ -23,9 +23,10 @@ from rx90b_flex.diagnose.residual import Errors, ReplayedTorques, RoleErrors, no
 from rx90b_flex.diagnose.reversals import row_weights
 from rx90b_flex.diagnose.search import Search
 from rx90b_flex.diagnose.trial import SIGNIFICANCE, TorqueTrial, added, choose, meet
+from rx90b_flex.diagnose.turned_over import turned_over_again
 from rx90b_flex.effects import Effect, Sites
 from rx90b_flex.effects.motion import Array, Mask
-from rx90b_flex.effects.stand_in import as_beside, of_usual_shape
+from rx90b_flex.effects.stand_in import of_usual_shape
 from rx90b_flex.identify.least_squares import Identification, identify
 from rx90b_flex.identify.near_tree import chosen
 from rx90b_flex.identify.regression import Regression
@@ -201,7 +202,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
     def signature(self, model: TorqueModel, trial: TorqueTrial | None = None) -> Hashable:
         """Types, places and numbers of shapes; of effects that may stand twice in one place, the shapes too, to a tenth."""
         effects = _with(model, trial.effects if trial else ())
-        return frozenset((e.type_name(), e.place, len(e.shape), _rounded(e)) for e in effects)
+        return frozenset((e.type_name(), e.place, len(e.shape), rounded(e)) for e in effects)
 
     def candidates(self, standing: Standing[TorqueModel, TorqueTrial]) -> Sequence[Candidates]:
         if standing.steps and self.at_floor(standing.model):
@@ -460,7 +461,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
             newest, effect = i >= older, added_ones[i]
             if not _physical(effect):
                 return step  # whatever stands on it: a robot file cannot hold it
-            if (newest and latest == 1) or _leaned_on(effect, standing.model.effects):
+            if (newest and latest == 1) or leaned_on(effect, standing.model.effects):
                 continue
             if not (newest or everywhere or any(meet(effect, e) for e in newer)):
                 continue
@@ -665,7 +666,7 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
 
         def fitted(effects: Sequence[Effect], start: TorqueModel) -> TorqueModel:
             model = identify(regression, effects, fit_links=self.fit_links, start=start.identified)
-            return TorqueModel(model, self.data)
+            return TorqueModel(turned_over_again(regression, model, start.identified), self.data)
 
         model = fitted(effects, start)
         gone = [e for e in model.identified.impossible() if e.label in self._declared - {n.label for n in new}]
@@ -683,12 +684,6 @@ class TorqueResidual(Residual[TorqueModel, TorqueTrial]):
         return bool((np.array(model.told.identification.torque_rms) <= AT_FLOOR * floor).all())
 
 
-def _leaned_on(effect: Effect, effects: Sequence[Effect]) -> bool:
-    """Whether another effect in its place is one that only stands beside it."""
-    others = [e for e in effects if e.place == effect.place and e is not effect]
-    return any(as_beside(e, others) is None and as_beside(e, [*others, effect]) is not None for e in others)
-
-
 def _alike(torque: Array, other: Array) -> bool:
     """Whether another torque differs little from one."""
     return bool(np.linalg.norm(torque - other) < ALIKE * np.linalg.norm(torque))
@@ -699,12 +694,6 @@ def _with(model: TorqueModel, new: Sequence[Effect]) -> tuple[Effect, ...]:
     for effect in new:
         effects = added(effects, effect)
     return effects
-
-
-def _rounded(effect: Effect) -> tuple[int, ...]:
-    """Logarithms of the shapes in tenths, where an effect may stand twice in one place."""
-    logs = np.round(10.0 * np.log(np.abs(effect.shape) + 1e-9)) if effect.traits.repeats else np.zeros(0)
-    return tuple(logs.astype(int).tolist())
 
 
 def reweighted(regression: Regression, model: Identification) -> Identification:

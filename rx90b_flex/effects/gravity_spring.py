@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -220,3 +220,15 @@ class _SineSpring(_SpringOfTwoLevers, part="spring"):
 
     def pulls(self) -> tuple[float, float]:
         return float(np.hypot(*self.coefficients)), 0.0
+
+
+def assumed_levers(effects: Sequence[Effect]) -> Iterator[str]:
+    """A caution for each spring that was searched for: its torque tells no length."""
+    for e in effects:
+        if isinstance(e, _SpringOfTwoLevers) and e.known:
+            (ratio, _), (pull, _) = e.geometry(), e.pulls()
+            yield (
+                f"{e.label}: torques tell its stiffness times both levers, {pull:.4g} N m, and no length. Its N/m and N are for ends "
+                f"{FAR:g} m and {ratio * FAR:.3g} m from the axis, which are assumed: declare it with its anchors to have those of "
+                "the spring that is there."
+            )

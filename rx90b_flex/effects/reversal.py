@@ -6,7 +6,7 @@ friction does that, so the sign is a hyperbolic tangent here; in simulations wit
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,8 +24,10 @@ from rx90b_flex.effects.stand_in import forms_of
 SHARP = 2.0e-4
 # Of a joint's speed, within which dry friction turns over at the most: wider, it is one with the viscous.
 FASTEST_PART = 1.0
+WIDER_PART = 0.01  # the same from which a search begins again that ended at less
 QUICK_PART = 0.05  # the same of most robots, and of a joint in whose model nothing grows with the velocity
 FINEST = 0.04  # of the velocity's change within a sample at a reversal: what turns over within less is a step
+NARROW = 0.3  # of such a start: what lies near it would be found from it
 LEAST = 1e-9  # rad/s, of any turn-over: logs without noise resolve less
 WINDOW_S, WINDOW_SAMPLES = 0.2, 5  # over which a joint at rest shows how much its velocity is off
 QUIET = 0.02  # part of the windows that count as the quietest
@@ -230,3 +232,18 @@ class DryFriction(JointForce):
         """Starts of the shapes before the turn-over, (M, s - 1), each with one in the lower part of its range."""
         start = turnover_start(motion.joint(self.joint, self.port_kind))
         return ShapeSearch(np.concatenate([own, np.full((len(own), 1), start)], axis=1), independent)
+
+
+def begun_wider(effects: Sequence[Effect], motion: Motion, joints: Collection[str]) -> tuple[Effect, ...]:
+    """Effects with the turn-over of dry friction on some joints set to a wider one, from which a fit may begin; none where all are
+    as wide.
+    """
+    out = []
+    for effect in effects:
+        if isinstance(effect, DryFriction) and effect.turnover is not None and effect.joint in joints:
+            at = motion.joint(effect.joint, effect.port_kind)
+            wider = float(np.clip(WIDER_PART * Resolution.of(at).speed, *quick_range(at)))
+            if effect.turnover < NARROW * wider:
+                effect = effect.with_shape(np.append(effect.shape[:-1], wider))
+        out.append(effect)
+    return tuple(out) if any(a is not b for a, b in zip(out, effects, strict=True)) else ()
