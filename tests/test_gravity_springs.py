@@ -44,6 +44,10 @@ def test_a_hidden_spring_is_named_and_nothing_else(tmp_path: Path, seed: int, an
         runs.append(plain.run(arm, role, m, torques, plain.white(rng, len(m.time), NOISE)))
     result = rf.close_loop(plain.write_files(tmp_path, arm, declared, runs, cutoff_hz=15.0))
     assert [e.effect.label for e in result.effects] == ["elbow.gravity_spring"]
+    # of levers torques tell no length: 60 N/m at these ends is what they tell, whatever ends are written
+    (said,) = (c for c in result.cautions if "both levers" in c)
+    told = float(said.split("both levers, ")[1].split(" N m")[0])
+    assert told == pytest.approx(60.0 * FAR * NEAR, rel=0.25) and "ends 0.4 m and" in said and "assumed" in said
 
 
 def test_springs_of_several_angles_and_ratios_side_by_side_are_those_by_themselves() -> None:
