@@ -8,11 +8,6 @@ from typing import Any
 import pytest
 
 
-def by_hand(value: Any) -> Any:
-    """A value that is tried with `-m long` alone."""
-    return pytest.param(value, marks=pytest.mark.long)
-
-
 def by_cost(names: Iterable[str], *, slow: Collection[str] = (), long: Collection[str] = ()) -> list[Any]:
     """Names of which some are tried with the slow tests, some by hand, and all others by default."""
     marks = [(pytest.mark.slow, slow), (pytest.mark.long, long)]

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from marked import by_hand
+from marked import by_cost
 from scipy import integrate, stats
 
 from rx90b_flex.effects import catalogue
@@ -24,6 +24,7 @@ from hidden_effects import counting, friction, kinds, physics, scene
 from hidden_effects.arms import declared_robot, link_values, subject
 from hidden_effects.motions import Experiment
 
+IN_BURSTS = ("transmission_error", "motor_saturation", "torque_delay")
 DRAWN = study.Case("hidden", "gear_ripple", 3.0, 4, "ur10", "tanh_10")
 
 
@@ -284,10 +285,7 @@ def test_what_no_joint_shows_is_left_out_and_named():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    ["transmission_error", *(pytest.param(n, marks=pytest.mark.long) for n in ("motor_saturation", "torque_delay"))],
-)
+@pytest.mark.parametrize("name", by_cost(IN_BURSTS, long=IN_BURSTS[1:]))
 def test_an_effect_that_acts_in_bursts_is_found(name):
     """What acts much in one block and little in others differs between held-out blocks without being less sure."""
     found = study.run_case(study.Case("hidden", name, 10.0, 0, "ur10", "sign"))
@@ -301,13 +299,18 @@ def test_an_effect_that_acts_in_bursts_is_found(name):
         # comes to rest a little beyond where it stops
         study.Case("hidden", "held_friction", 10.0, 2300, "z1", "tanh_30", "ar", period_stated=False),
         # two elements on each joint, that break away near each other
-        by_hand(study.Case("hidden", "torque_gain", 1.0, 2310, "z1", "maxwell", "ar", period_stated=False)),
+        pytest.param(
+            study.Case("hidden", "torque_gain", 1.0, 2310, "z1", "maxwell", "ar", period_stated=False),
+            marks=pytest.mark.long,
+        ),
         # a third element on one of them
         study.Case("hidden", "presliding_friction", 1.0, 6000, "ur10", "maxwell", "ar", period_stated=False),
         # a wide gap, whose columns at any other gap harm a recording that is left out
-        by_hand(study.Case("hidden", "backlash", 10.0, 899, "z1", "sign", "ar")),
+        pytest.param(study.Case("hidden", "backlash", 10.0, 899, "z1", "sign", "ar"), marks=pytest.mark.long),
         # an element of negative torque on its way through a fit
-        by_hand(study.Case("hidden", "line_interference", 10.0, 10113, "z1", "sign", "ar")),
+        pytest.param(
+            study.Case("hidden", "line_interference", 10.0, 10113, "z1", "sign", "ar"), marks=pytest.mark.long
+        ),
         # one drive whose twist explains what others' would, beside a resolver that bends the links as much
         study.Case("pair", "resolver_error+drive_flexibility", 10.0, 22011, "z1", "tanh_1", "white"),
         # a spring that only a curve explains until the tilt is in the model

@@ -55,7 +55,6 @@ from rx90b_flex.diagnose.verdict import Remains, raised
 from rx90b_flex.diagnose.yardstick import Explainable, HeldOut, yardstick
 from rx90b_flex.early import check_jobs
 from rx90b_flex.effects import Effect
-from rx90b_flex.effects.cautions import cautions
 from rx90b_flex.effects.flexibility import stiff_for_want_of_values
 from rx90b_flex.effects.motion import Array, Mask
 from rx90b_flex.files.toml import named_in
@@ -629,7 +628,7 @@ class _Ended:
         return (
             *(text for each in words for text in each),
             *cancelling(model, added, held_out),
-            *cautions(model.effects),
+            *(text for e in model.effects if (text := e.caution())),
             *raised(self.residual.campaign.joints, before.validation, after.validation),
             *self._unlike(predictions),
         )

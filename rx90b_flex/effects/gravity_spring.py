@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -141,6 +141,16 @@ class _SpringOfTwoLevers(StandIn, JointEffect, behind_gear=True, of_make=False):
         names = (("stiffness", "N/m"), ("prestress", "N"), ("lever_ratio", "-"), ("angle", "rad"))
         return [(name, unit, value) for (name, unit), value in zip(names, self._spring(), strict=True)]
 
+    def caution(self) -> str:
+        if not self.known:
+            return ""
+        (ratio, _), (pull, _) = self.geometry(), self.pulls()
+        return (
+            f"{self.label}: torques tell its stiffness times both levers, {pull:.4g} N m, and no length. Its N/m and N are for ends "
+            f"{FAR:g} m and {ratio * FAR:.3g} m from the axis, which are assumed: declare it with its anchors to have those of the "
+            "spring that is there."
+        )
+
     def in_tree(self, motion: Motion) -> Effect:
         stiffness, prestress, ratio, angle = self._spring()
         axis = motion.on_tree.joint_axis(self.joint)
@@ -220,15 +230,3 @@ class _SineSpring(_SpringOfTwoLevers, part="spring"):
 
     def pulls(self) -> tuple[float, float]:
         return float(np.hypot(*self.coefficients)), 0.0
-
-
-def assumed_levers(effects: Sequence[Effect]) -> Iterator[str]:
-    """A caution for each spring that was searched for: its torque tells no length."""
-    for e in effects:
-        if isinstance(e, _SpringOfTwoLevers) and e.known:
-            (ratio, _), (pull, _) = e.geometry(), e.pulls()
-            yield (
-                f"{e.label}: torques tell its stiffness times both levers, {pull:.4g} N m, and no length. Its N/m and N are for ends "
-                f"{FAR:g} m and {ratio * FAR:.3g} m from the axis, which are assumed: declare it with its anchors to have those of "
-                "the spring that is there."
-            )

@@ -143,6 +143,10 @@ class Hints(Parametrized, ABC):
         """Whether its values go together, and with what its force assumes; bounds of single values are no part of it."""
         return True
 
+    def caution(self) -> str:
+        """What has to be said where it is found: why it is doubted, or what its values are taken for; empty where nothing."""
+        return ""
+
     def too_small(self, part: float, sample_s: float, motion: Motion) -> str:
         """Why it is not worth a name, however certain it is, in words; empty where it is.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -64,6 +64,18 @@ class TorqueDelay(LogEffect, on="robot or joint", needs_model=True):
         (change,) = motion.once((self.type_name(), repr(step)), lambda: (self._change(motion, step),))
         return self._own(motion, change / step)[:, :, None]
 
+    def caution(self) -> str:
+        """Of a delay that no drive has: the log's times may be at fault, which no recording of that log tells."""
+        if not self.known or abs(self.known_coefficients()[0]) <= LONG_S:
+            return ""
+        seconds = float(self.known_coefficients()[0])
+        when = "after" if seconds > 0 else "before"
+        return (
+            f"{self.label}: torques are logged {1000 * abs(seconds):.3g} ms {when} the positions they belong to, longer than "
+            "filters and buses take. Two clocks, a filter of one column alone or rows that were shifted leave the same: "
+            "compare both with one event, before this delay is taken for the robot's."
+        )
+
     def logged(self, motion: Motion, torque: Array) -> Array:
         (delay,) = self.known_coefficients()
         return torque + self._own(motion, self._change(motion, delay))
@@ -123,19 +135,6 @@ class TorqueDelay(LogEffect, on="robot or joint", needs_model=True):
     @classmethod
     def everywhere(cls, sites: Sites) -> Sequence[Effect]:
         return [cls(), *(cls(joint=j) for j in sites.joints)]
-
-
-def long_delays(effects: Sequence[Effect]) -> Iterator[str]:
-    """A caution for each delay that no drive has: the log's times may be at fault, which no recording of that log tells."""
-    for e in effects:
-        if isinstance(e, TorqueDelay) and e.known and abs(e.known_coefficients()[0]) > LONG_S:
-            seconds = float(e.known_coefficients()[0])
-            when = "after" if seconds > 0 else "before"
-            yield (
-                f"{e.label}: torques are logged {1000 * abs(seconds):.3g} ms {when} the positions they belong to, longer than "
-                "filters and buses take. Two clocks, a filter of one column alone or rows that were shifted leave the same: "
-                "compare both with one event, before this delay is taken for the robot's."
-            )
 
 
 def _sample(motion: Motion) -> float:
